@@ -6,7 +6,7 @@ export PYTHONPATH := $(CURDIR)$(if $(PYTHONPATH),:$(PYTHONPATH))
 # where the environment says not to: compiling them anew takes each process 12 seconds.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
-.PHONY: demo check test test-all lint extension dist docs
+.PHONY: demo check test test-all lint extension repository dist docs
 
 demo: .venv/.installed
 	$(BIN)/python -m cloak_core demo --out runs/demo
@@ -26,10 +26,12 @@ lint: .venv/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-extension: .venv/.installed-test .venv-blender/.installed
-	rm -rf build/trainer
-	$(BIN)/python -m build --wheel --no-isolation --outdir build/trainer >/dev/null
-	.venv-blender/bin/python tools/build_extension.py --trainer build/trainer/*.whl
+extension: .venv-blender/.installed
+	.venv-blender/bin/python tools/build_extension.py
+
+# Our own extension repository: dist/repository, for any web server; with CLOAK_URL its manifest names the site.
+repository: .venv-blender/.installed
+	.venv-blender/bin/python tools/build_extension.py --out dist/repository --repository
 
 # What is uploaded: the wheel and the sources, checked. CLOAK_URL=https://... is where the README's links lead then.
 dist: .venv/.installed-test

@@ -3,8 +3,8 @@
 
 Packages by the panel's steps: `body`, `logo`, `poses`, `training`, `result`; each has plain functions over Blender's
 data, its operators, the reasons why they cannot run now, and its panels. Below them `blender` (meshes, colours and
-paths as numpy sees them), `ui` (what panels and operators are made of) and `trainer` (finding, installing, starting and
-following the process that trains). `session` holds what is true of this process alone; `train.py` does the same
+paths as numpy sees them), `ui` (what panels and operators are made of) and `trainer` (finding, starting and
+following the process that trains). `session` holds what is true of this process alone; `headless` does the same
 without a window.
 """
 
@@ -12,7 +12,7 @@ from importlib import import_module
 
 import bpy
 
-from . import properties, translations
+from . import headless, properties, translations
 from .logo import overlay, paint
 from .result import eye, ring
 from .session import session
@@ -29,6 +29,7 @@ WITH_CLASSES = (
 ROOMS = (properties, run_list, drawing)  # modules that register something before the classes
 WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, translations)
 """Objects that register something after the classes."""
+_commands: list[object] = []  # of the command line: `blender --command cloak`
 CLASSES = (
     preferences.CloakPreferences,
     *(
@@ -48,12 +49,15 @@ def register() -> None:
         bpy.utils.register_class(cls)
     for room in WATCHERS:
         room.register()
-    preferences.look_ahead()
+    session.keeps = not bpy.app.background
+    _commands.append(bpy.utils.register_cli_command("cloak", headless.run))
 
 
 def unregister() -> None:
     """Called by Blender when the extension is disabled, and when Blender closes."""
     jobs.shut_down()
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())
     for room in reversed(WATCHERS):
         room.unregister()
     for cls in reversed(CLASSES):

@@ -7,7 +7,7 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.props import CollectionProperty, EnumProperty, PointerProperty
 
-from .blender import blend_paths
+from .blender import blend_paths, marks
 from .blender.blend_paths import absolute, blend_folder
 from .blender.colors import set_look
 from .blender.faces import is_logo, logo_names
@@ -16,7 +16,7 @@ from .poses.poses import PoseChoice
 from .result.evaluations import CloakJudging
 from .session import session
 from .trainer.command_lines import options
-from .trainer.preferences import user_folder
+from .trainer.preferences import runs_folder
 from .training.detectors import CloakDetector, existing, take_over, trained_against
 from .ui import props
 from .ui.window import Hooks
@@ -40,7 +40,7 @@ def _remember_run(self: "CloakObject", context: bpy.types.Context) -> None:
 
 
 def _scene_changed(self: "CloakObject", context: bpy.types.Context) -> None:
-    session.mesh_changes += 1
+    session.note_change(geometry=True)
 
 
 def _look_chosen(self: "CloakSettings", context: bpy.types.Context) -> None:
@@ -173,8 +173,8 @@ class CloakSettings(bpy.types.PropertyGroup):
     )
     output: props.path(
         "Output",
-        "Folder that run folders are made in; empty for 'cloak runs' beside the .blend file, or for the add-on's own "
-        "folder while the file was never saved",
+        "Folder that run folders are made in; empty for 'cloak runs' beside the .blend file, or for a folder "
+        "beside Blender's own data while the file was never saved",
         "DIR_PATH",
     )
     look: props.choice(
@@ -213,16 +213,18 @@ def train_options(settings: CloakSettings) -> list[str]:
 
 
 def output_folder(settings: CloakSettings) -> Path:
-    """Where runs go: the folder the user chose, `cloak runs` beside the file, or `runs` in the add-on's own folder."""
+    """Where runs go: the folder the user chose, `cloak runs` beside the file, or beside Blender's own data."""
     if not settings.output:
-        return blend_folder() / "cloak runs" if blend_folder() else user_folder("runs")
+        return blend_folder() / "cloak runs" if blend_folder() else runs_folder()
     if settings.output.startswith("//") and not bpy.data.filepath:
         raise InputError("Output lies beside the .blend file: save that first, or choose another folder")
     return Path(absolute(settings.output))
 
 
 HOOKS = Hooks(
-    *blend_paths.HANDLERS, *(("undo_post", give_runs_back), ("redo_post", give_runs_back), ("load_post", take_over))
+    *blend_paths.HANDLERS,
+    *(("undo_post", give_runs_back), ("redo_post", give_runs_back)),
+    *(("load_post", take_over), ("load_post", marks.mark_former)),
 )
 CLASSES = (CloakObject, CloakJudging, CloakDetector, CloakSettings)
 

@@ -1,50 +1,75 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What this Blender holds beside the open file: jobs, the detector's eye, and the runs found on the disk.
+"""What this Blender holds beside the open file: jobs, the detector's eye, the runs on the disk, what redraws ask again.
 
-One object, `session`, so that whatever can be stale stands in one place. The add-on resets it when it goes.
+One object, `session`, so that whatever can be stale stands in one place. The add-on resets it when it goes. It lies
+below every room of the add-on, and knows of what the rooms keep in it only what it asks itself.
 """
 
-from __future__ import annotations
-
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from .result.eye import Eye
-    from .trainer.jobs import Job
-    from .training.run_states import RunState
+T = TypeVar("T")
+
+
+class Task(Protocol):
+    """A job (`trainer.jobs.Job`)."""
+
+    label: str
+    running: bool
+    active: bool  # runs or waits its turn
 
 
 @dataclass
 class Session:
     """State of one Blender process; nothing of it is saved."""
 
-    jobs: list[Job] = field(default_factory=list)
+    jobs: list[Task] = field(default_factory=list)
     """In the order in which they were asked for: at most one runs, some wait, and of each kind the last that ended."""
-    eye: Eye | None = None  # the detector's eye that is open
+    eye: Any = None  # the detector's eye that is open
     eye_closed_because: str = ""  # error that closed the last eye; "" if there was none
-    runs: dict[str, RunState] = field(default_factory=dict)
+    runs: dict[str, Any] = field(default_factory=dict)
     """The runs of the panel's list, by their paths; the latest first."""
     runs_drawn: float = 0.0  # when the list was last drawn, on the monotonic clock
+    viewports: dict[int, str] = field(default_factory=dict)
+    """What Solid viewports took colours from before they showed ours, by the addresses of their spaces."""
     clicked_run: str = ""  # the run that was chosen while no body was active
     given_runs: dict[int, str] = field(default_factory=dict)
     """The run that an object was last given, by the object's session_uid; undo must not take it away."""
     mesh_changes: int = 0  # grows when any mesh changes shape, and when the frame does
     mesh_changed_at: float = 0.0  # when it last grew, on the monotonic clock
+    keeps: bool = False  # whether `kept` may keep: in a window, whose handlers hear of changes before the next redraw
+    _kept: dict[object, Any] = field(default_factory=dict)
 
     @property
-    def job(self) -> Job | None:
+    def job(self) -> Task | None:
         """The job that runs, else the one that was asked for last."""
         return next((job for job in self.jobs if job.running), self.jobs[-1] if self.jobs else None)
 
-    def job_of(self, *labels: str) -> Job | None:
+    def job_of(self, *labels: str) -> Task | None:
         """The last job of these kinds."""
         return next((job for job in reversed(self.jobs) if job.label in labels), None)
 
-    def training_of(self, run: Path) -> Job | None:
+    def training_of(self, run: Path) -> Task | None:
         """The job that trains a run, or will."""
         return next((job for job in self.jobs if job.active and getattr(job, "run", None) == run), None)
+
+    def kept(self, key: object, compute: Callable[[], T]) -> T:
+        """What `compute` returns, for redraws: kept until anything in the scene changes."""
+        if not self.keeps:
+            return compute()
+        if key not in self._kept:
+            self._kept[key] = compute()
+        return self._kept[key]
+
+    def note_change(self, geometry: bool) -> None:
+        """Note that something in the scene changed; with `geometry` the shape of a mesh did."""
+        self._kept.clear()
+        if geometry:
+            self.mesh_changes += 1
+            self.mesh_changed_at = time.monotonic()
 
     def reset(self) -> None:
         """Forget everything."""

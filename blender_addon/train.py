@@ -1,284 +1,46 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Train without a window: from a .blend file to a .blend file that wears the cloak.
+"""Train without a window, from a checkout: from a .blend file to a .blend file that wears the cloak.
 
     blender -b body.blend -P blender_addon/train.py -- --logo chest --detector builtin --frames 1:60:10 --out RUN --save cloaked.blend
     python blender_addon/train.py -- --blend body.blend --logo chest --out RUN      (a Python with the bpy package)
 
-Exit codes: 0 done, 2 bad input (one line that names it), 3 stopped, 1 a defect.
+Where the extension is installed, `blender -b body.blend --command cloak ...` is the same. This file is not part of it.
 """  # noqa: E501
 
-import argparse
 import contextlib
 import importlib.util
 import os
 import shutil
-import signal
 import sys
-import time
-import traceback
 from pathlib import Path
 
 import bpy
 
-if not __package__:
-    # Run as a script: load the package around it under a name of its own, installed extension or not.
-    _folder = Path(__file__).resolve().parent
-    _spec = importlib.util.spec_from_file_location(
-        "cloak_headless", _folder / "__init__.py", submodule_search_locations=[str(_folder)]
+NAME = "cloak_headless"  # of the package, installed extension or not
+
+
+def load() -> object:
+    """The add-on's module `headless`, from the folder of this file."""
+    folder = Path(__file__).resolve().parent
+    spec = importlib.util.spec_from_file_location(
+        NAME, folder / "__init__.py", submodule_search_locations=[str(folder)]
     )
-    sys.modules[_spec.name] = importlib.util.module_from_spec(_spec)
-    _spec.loader.exec_module(sys.modules[_spec.name])
-    __package__ = _spec.name
-
-from . import properties
-from .blender.faces import import_face_list, logo_names
-from .body.objects import require_body, subdivide
-from .body.samples import add_from_scene
-from .exchange.scenes import read_scene
-from .files.errors import InputError, Stopped
-from .files.writing import written
-from .poses.export import export, read_export
-from .poses.poses import PoseChoice
-from .result import render_check
-from .trainer import command_lines
-from .trainer.command_lines import cloak_command, sample_words
-from .trainer.jobs import Job, TrainingJob
-from .trainer.python import find_python
-from .training import runs
-
-PRINT_SECONDS = 2.0
-PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
-
-
-def parse(arguments: list[str]) -> argparse.Namespace:
-    """Options; bad ones raise `InputError`."""
-
-    class Parser(argparse.ArgumentParser):
-        def error(self, message: str) -> None:
-            raise InputError(f"train.py: {message} (--help says what it takes)")
-
-    parser = Parser(prog="train.py", description="Train a logo on the body of a .blend file.", allow_abbrev=False)
-    add = parser.add_argument
-    add("--logo", required=True, help="logo on the body (several joined by +), or a face list (.npy)")
-    add("--out", required=True, type=Path, help="run folder to write; its input goes to RUN.input")
-    add("--save", type=Path, help=".blend file to save with the trained colours")
-    add("--preview", type=Path, help="PNG to render (default: RUN/blender.png)")
-    add("--blend", type=Path, help=".blend file to open first (for the bpy package; Blender takes it before -P)")
-    add("--scene", type=Path, help="build the body from this scene package instead of taking it from the file")
-    add("--sample", action="store_true", help="take Cloak's sample body")
-    add("--object", help="name of the body (default: the active or only mesh)")
-    add("--subdivide", type=int, default=0, metavar="LEVELS", help="subdivide first (Simple), this many times")
-    add("--keep-quads", action="store_true", help="with --subdivide: do not triangulate")
-    add("--frames", default="", metavar="A:B:STEP", help="frames to train on (default: the current pose)")
-    add("--actions", type=int, default=0, metavar="STEP", help="train on every STEP-th frame of all actions")
-    add("--clothing", action="store_true", help="has no effect: what is visible on the body is seen")
-    add("--leave-out", default="", metavar="NAMES", help="visible meshes on the body not to show the camera, A,B")
-    add("--detector", default="builtin", help="as in cloak train")
-    add("--backgrounds", default="", help="folder of images, or procedural")
-    add("--angles", default="-10:10:5", help="azimuths in degrees, A:B:STEP")
-    add("--preset", default="", help="best, paper or reference")
-    add("--steps", type=int, help="updates of the colours")
-    add("--device", default="", help="cpu or cuda")
-    add("--config", default="", help="TOML file with further settings of cloak train")
-    add("--python", default="", help="Python that has cloak_core (default: found)")
-    add("--resume", action="store_true", help="go on with the run in --out")
-    add("--init", type=Path, metavar="RUN", help="begin with the colours of another run on the same logo")
-    joined: list[str] = []
-    for word in arguments:  # `--angles -10:10:5`: argparse would take the value for an option
-        if joined and joined[-1] in ("--angles", "--frames"):
-            joined[-1] += f"={word}"
-        else:
-            joined.append(word)
-    return parser.parse_args(joined)
-
-
-def choice_of(options: argparse.Namespace) -> PoseChoice:
-    """Which poses the options ask for."""
-    if options.actions and options.frames:
-        raise InputError("--frames and --actions: give one of them")
-    if options.actions:
-        return PoseChoice("ACTIONS", step=options.actions)
-    if not options.frames:
-        return PoseChoice()
-    try:
-        first, last, step = (*(int(part) for part in options.frames.split(":")), 1)[:3]
-    except ValueError:
-        raise InputError(f"--frames {options.frames}: A:B:STEP in whole frames is needed") from None
-    return PoseChoice("RANGE", first, last, step)
-
-
-def train_options(given: argparse.Namespace) -> list[str]:
-    """What goes on to the trainer; paths are made absolute, because it works in a folder of its own."""
-    backgrounds = Path(given.backgrounds)
-    return command_lines.options(
-        [command_lines.absolute_detector(given.detector)],
-        backgrounds=backgrounds.absolute() if given.backgrounds and backgrounds.is_dir() else given.backgrounds,
-        **{name: getattr(given, name) for name in ("angles", "preset", "steps", "device")},
-        config=given.config and Path(given.config).absolute(),
-    )
-
-
-def find_body(options: argparse.Namespace, python: str, folder: Path) -> bpy.types.Object:
-    """The body the options name, checked and subdivided."""
-    if options.sample or options.scene:
-        scene = options.scene or folder / "sample"
-        if not options.scene:
-            job = Job("Sample body", [cloak_command(python, *sample_words(scene))], folder, "sample").wait()
-            if job.state != "done":
-                raise InputError(job.message)
-        obj = add_from_scene(bpy.context, read_scene(scene))
-    elif options.object:
-        obj = bpy.context.view_layer.objects.get(options.object)
-        if obj is None:
-            have = ", ".join(o.name for o in bpy.context.view_layer.objects if o.type == "MESH") or "none"
-            raise InputError(f"--object {options.object}: no such object in the scene (meshes: {have})")
-    else:
-        obj = _only_body(options.logo)
-    require_body(obj)
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
-        bpy.context.view_layer.objects.active = obj
-        bpy.ops.object.mode_set(mode="OBJECT")
-    for _ in range(options.subdivide):
-        subdivide(obj, triangulate=not options.keep_quads)
-    return obj
-
-
-def _only_body(logo: str) -> bpy.types.Object | None:
-    active = bpy.context.view_layer.objects.active
-    if active is not None and active.type == "MESH":
-        return active
-    meshes = [o for o in bpy.context.view_layer.objects if o.type == "MESH"]
-    candidates = [o for o in meshes if logo in logo_names(o.data)] or meshes
-    if len(candidates) > 1:
-        raise InputError(f"--object: name the body, one of {', '.join(o.name for o in candidates)}")
-    return candidates[0] if candidates else active
-
-
-def require_writable(path: Path | None, option: str) -> None:
-    """Find out before an hour of training that a result could not be saved."""
-    if path is not None and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise InputError(f"{option} {path}: the folder {path.parent} does not exist or cannot be written")
-
-
-def main(arguments: list[str]) -> None:
-    """Parse the options, export, train, and save the result."""
-    options = parse(arguments)
-    run = options.out.absolute()
-    if not options.resume and run.exists():
-        raise InputError(f"--out {options.out}: exists already (continue it with --resume, or name another folder)")
-    for path, name in ((options.save, "--save"), (options.preview, "--preview")):
-        require_writable(path and path.absolute(), name)
-    with written(f"--out {options.out}"):
-        run.parent.mkdir(parents=True, exist_ok=True)
-    require_writable(run, "--out")
-    if options.blend is not None:
-        if not options.blend.is_file():
-            raise InputError(f"--blend {options.blend}: no such file")
-        bpy.ops.wm.open_mainfile(filepath=str(options.blend.absolute()))
-    python = find_python(options.python)
-    obj = find_body(options, python, Path(bpy.app.tempdir))
-    logo = options.logo
-    if logo.endswith(".npy"):
-        logo = import_face_list(obj, Path(logo))
-    for name in filter(None, options.leave_out.split(",")):
-        if name not in bpy.data.objects:
-            raise InputError(f"--leave-out {name}: no such object in the file")
-        bpy.data.objects[name].cloak.left_out = True
-    train(options, obj, logo, python, run)
-    obj.cloak.run = str(run)
-    finish(options, obj, run)
-
-
-def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, python: str, run: Path) -> None:
-    """Export and train, with progress on standard output."""
-    folder, words = runs.input_folder(run), train_options(options)
-    words += ["--made-from", "sample:train"] if options.sample else []
-    words += [f"--init={options.init.absolute()}"] if options.init else []
-    if options.resume and folder.is_dir():
-        done, begun = read_export(folder), runs.remembered_options(run)
-        runs.require_same_topology(obj, done.topology)
-        if kept := command_lines.differing_options(begun, words):
-            say(f"--resume keeps what the run was started with: {kept}")
-        words = begun
-    else:
-        if folder.exists() and not run.exists():
-            runs.remove(run)  # what a start left that failed before the training began
-        done = export(bpy.context, obj, logo, choice_of(options), folder)
-        runs.remember_options(run, words)
-    say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")
-    command = command_lines.train_command(python, words, done.scene, done.face_list, run)
-    job = TrainingJob(command + (["--resume"] if options.resume else []), run, folder).start()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: job.cancel())
-    said, last = "", 0.0
-    while job.poll():
-        line = ", ".join(filter(None, (job.describe(), job.progress.figures())))
-        if line != said and time.monotonic() - last >= PRINT_SECONDS:
-            say(line)
-            said, last = line, time.monotonic()
-        time.sleep(0.05)
-    if job.state == "stopped":
-        raise Stopped(job.message)
-    if job.state == "failed":
-        raise InputError(job.message) if job.code == 2 else RuntimeError(f"{job.message}; see {job.log}")
-    say(job.message)
-
-
-def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> None:
-    """Apply the colours, save the .blend file, render the preview."""
-    count = runs.import_colors(bpy.context, obj, run)
-    say(f"{count} faces of '{obj.name}' wear the trained colours")
-    if options.save:
-        bpy.ops.wm.save_as_mainfile(filepath=str(options.save.absolute()), check_existing=False)
-        say(f"saved {options.save}")
-    preview = (options.preview or run / "blender.png").absolute()
-    render_check.render_view(obj, preview, PREVIEW_AZIMUTH, PREVIEW_SIZE, PREVIEW_SAMPLES)
-    say(f"rendered {preview}")
-
-
-def say(text: str) -> None:
-    """One line on standard output, at once."""
-    print(text, flush=True)
-
-
-def run_as_script(arguments: list[str]) -> int:
-    """`main` with its outcome as an exit code."""
-    try:
-        if not hasattr(bpy.types.Object, "cloak"):  # what a .blend file keeps of ours is read only then
-            properties.register()
-        if arguments[:1] == ["render-check"]:
-            render_check.run_plan(Path(arguments[1]))
-        else:
-            main(arguments)
-    except InputError as error:
-        print(f"cloak: {error}", file=sys.stderr, flush=True)
-        return 2
-    except Stopped as stop:
-        print(f"cloak: {stop}", file=sys.stderr, flush=True)
-        return 3
-    except Exception:
-        traceback.print_exc()
-        return 1
-    return 0
+    sys.modules[NAME] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[NAME])
+    return importlib.import_module(f"{NAME}.headless")
 
 
 def leave(code: int) -> None:
     """Exit with a code, also if standard output is closed."""
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(BrokenPipeError):
+        with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    if bpy.app.binary_path:
-        sys.exit(code)
-    # The bpy package may wait for ever in its own destructors at a regular exit (a condition variable still in use).
+    # The interpreter would flush again, and end with code 120; and the bpy package may wait for ever in its own
+    # destructors (a condition variable still in use).
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
     os._exit(code)
 
 
 if __name__ == "__main__":
     given = sys.argv[1:] if bpy.app.binary_path == "" else []
-    try:
-        ended = run_as_script(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given)
-    except BrokenPipeError:
-        ended = 1  # nobody reads what it says; left to the interpreter, the bpy package would never end
-    leave(ended)
+    leave(load().run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given))

@@ -24,6 +24,8 @@ GROUPS: dict[str, dict[str, str]] = {
         "train": "train:Train",
         "evaluate": "evaluate:Evaluate",
         "report": "evaluate:Report",
+        "setup": "setup:Setup",
+        "remote": "remote:Remote",
         "zoo list": "zoo:List",
         "zoo show": "zoo:Show",
         "zoo export": "zoo:Export",

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 CORE = Path(__file__).parents[1] / "cloak_core"
+ADD_ON = CORE.with_name("blender_addon")
 MAY_IMPORT = {
     "files": set(),
     "jobs": {"files"},
@@ -36,7 +37,8 @@ def imported(path: Path) -> set[str]:
 
 
 def names_imported(tree: ast.AST, path: Path) -> set[str]:
-    package = ["cloak_core", *path.relative_to(CORE).parts[:-1]]
+    root = ADD_ON if path.is_relative_to(ADD_ON) else CORE
+    package = path.relative_to(root.parent).parts[:-1]
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -88,13 +90,15 @@ def loaded_by(path: Path) -> set[str]:
 
 
 @pytest.mark.slow
-def test_no_files_import_each_other_in_a_circle():
-    """An import inside a function counts, too: it only hides the circle. `__init__` files count as themselves."""
-    name_of = lambda path: ".".join(("cloak_core", *path.relative_to(CORE).with_suffix("").parts)).removesuffix(
-        ".__init__"
-    )
-    paths = {name_of(path): path for path in CORE.rglob("*.py")}
-    graph = {name: (loaded_by(path) & paths.keys()) - {"cloak_core"} for name, path in paths.items()}
+@pytest.mark.parametrize(("root", "of_file"), [(CORE, loaded_by), (ADD_ON, imported)], ids=["core", "add-on"])
+def test_no_files_import_each_other_in_a_circle(root, of_file):
+    """An import inside a function counts, too: it only hides the circle. In the add-on types count as well.
+
+    `__init__` files count as themselves.
+    """
+    name_of = lambda path: ".".join(path.relative_to(root.parent).with_suffix("").parts).removesuffix(".__init__")
+    paths = {name_of(path): path for path in root.rglob("*.py")}
+    graph = {name: (of_file(path) & paths.keys()) - {root.name} for name, path in paths.items()}
     for name in paths:
         # `from package import module` names both; the package alone is meant where the name is no module.
         graph[name] -= {other for other in graph[name] if any(o.startswith(f"{other}.") for o in graph[name])}

@@ -1,7 +1,8 @@
 """Build the Blender extension with Blender's own builder: `python tools/build_extension.py [--out dist]`.
 
-The builder wants `__init__.py` beside the manifest, so the add-on, the manifest and the two shared packages are
-staged in a temporary folder first. The builder comes with the `bpy` package, or with a `blender` on the path.
+The builder wants `__init__.py` beside the manifest, so the add-on, the manifest, the licence and the two shared
+packages are staged in a temporary folder first. It comes with the `bpy` package, or with a `blender` on the path.
+`--repository` builds a folder that any web server makes an extension repository. CLOAK_URL names the project's site.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ SHARED = ("files", "exchange")
 UNPICKLING = ("torch_pickles.py", "unpickling.py", "pickle_machine.py")
 LEFT_OUT = ("caching.py", "likeness.py", *UNPICKLING, "__pycache__")
 """Of those rooms, what the add-on does not use."""
+CHECKOUT = ("train.py",)
+"""Of the add-on, what only a checkout has."""
+LICENCE = "# SPDX-License-Identifier: GPL-3.0-or-later\n"
 BUILDER = "scripts/addons_core/bl_pkg/cli/blender_ext.py"
 
 
@@ -29,7 +33,7 @@ def main() -> int:
     """Stage, validate and build; prints the path of the zip."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zip (default: dist)")
-    parser.add_argument("--trainer", type=Path, help="the trainer's wheel, to travel along: installed in one click")
+    parser.add_argument("--repository", action="store_true", help="also write the index of an extension repository")
     options = parser.parse_args()
     builder = find_builder()
     if builder is None:
@@ -42,15 +46,15 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         source = Path(temporary) / "cloak"
         stage(source)
-        if options.trainer:
-            shutil.copy(options.trainer, source / "trainer")
         package = options.out / package_name()
         options.out.mkdir(parents=True, exist_ok=True)
         package.unlink(missing_ok=True)
+        index = [["server-generate", "--html", "--repo-dir", str(options.out)]] if options.repository else []
         for command in (
             ["validate", str(source)],
             ["build", "--source-dir", str(source), "--output-filepath", str(package)],
             ["validate", str(package)],
+            *index,
         ):
             done = subprocess.run([*builder, *command], stdout=sys.stderr, check=False)
             if done.returncode:
@@ -66,12 +70,18 @@ def package_name() -> str:
 
 
 def stage(folder: Path) -> None:
-    """The extension as Blender wants it: the add-on's Python files, the manifest, the shared formats; no more."""
+    """Stage the extension as Blender wants it: the add-on, its assets, the shared formats, manifest and licence."""
     source = ROOT / "blender_addon"
-    shutil.copytree(source, folder, ignore=shutil.ignore_patterns(*SHARED, "__pycache__"))
+    shutil.copytree(source, folder, ignore=shutil.ignore_patterns(*SHARED, *CHECKOUT, "__pycache__"))
     for room in SHARED:
         shutil.copytree(ROOT / "cloak_core" / room, folder / room, ignore=shutil.ignore_patterns(*LEFT_OUT))
-    shutil.copyfile(ROOT / "blender_manifest.toml", folder / "blender_manifest.toml")
+        for path in (folder / room).rglob("*.py"):  # whose licence in the repository, Apache-2.0, allows for this one
+            path.write_text(LICENCE + path.read_text("utf-8"), "utf-8")
+    shutil.copyfile(ROOT / "LICENSES" / "GPL-3.0-or-later.txt", folder / "LICENSE")
+    manifest = (ROOT / "blender_manifest.toml").read_text("utf-8")
+    if site := os.environ.get("CLOAK_URL", "").rstrip("/"):
+        manifest = manifest.replace('type = "add-on"\n', f'type = "add-on"\nwebsite = "{site}"\n')
+    (folder / "blender_manifest.toml").write_text(manifest, "utf-8")
 
 
 def find_builder() -> list[str] | None:

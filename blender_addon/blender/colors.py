@@ -9,19 +9,26 @@ happens here and nowhere else.
 import bpy
 import numpy as np
 
+from ..session import session
 from ..ui.window import areas
 from . import mesh_arrays as arrays
+from .marks import (
+    COLORS,
+    HEATMAP,
+    MATERIAL,
+    OUTFIT,
+    OWN_MATERIAL,
+    PREFIX,
+    SHOWN_BEFORE,
+    layer_name,
+    make_layer,
+)
 from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
 
-CLOAK = "Cloak"  # name of the colour attribute that holds the trained colours
 SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
 """The materials that show it: unlit, so that every colour is the trained one, or lit as cloth."""
-OUTFIT = "Outfit"  # name of the colour attribute that holds the plain clothing of bodies from a scene package
-HEATMAP = "Cloak Heatmap"
-HEAT = "cloak_heat"  # float face attribute: the last heat map
 SLOTS = "material_index"  # Blender's own face attribute: the material slot of each face
-OWN_MATERIAL = "cloak_own_material"  # integer face attribute: the material slot each face had before it was dressed
 GREY = 0.5
 HEAT_STOPS = ((0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75))
 """sRGB from no heat to the most."""
@@ -39,23 +46,18 @@ def linear_to_srgb(values: np.ndarray) -> np.ndarray:
     return np.where(values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
 
 
-def write_face_colors(obj: bpy.types.Object, name: str, colors: np.ndarray) -> None:
-    """Write one sRGB colour per face, [F, 3], into the corner colour attribute `name`, made where there is none."""
+def write_face_colors(obj: bpy.types.Object, role: str, colors: np.ndarray) -> None:
+    """Write one sRGB colour per face, [F, 3], into our colour attribute in a role, made where there is none."""
     mesh = obj.data
-    arrays.require_object_mode(obj, "Leave Edit Mode (Tab) to see the colours on the model")
-    attribute = mesh.color_attributes.get(name)
-    if attribute is None or attribute.domain != "CORNER" or attribute.data_type != "FLOAT_COLOR":
-        if mesh.attributes.get(name) is not None:
-            mesh.attributes.remove(mesh.attributes[name])
-        attribute = mesh.color_attributes.new(name, "FLOAT_COLOR", "CORNER")
+    arrays.require_object_mode(obj, "Leave {mode} to see the colours on the model")
     rgba = np.ones((len(mesh.polygons), 4), np.float32)
     rgba[:, :3] = srgb_to_linear(colors)
-    attribute.data.foreach_set("color", np.repeat(rgba, corner_counts(mesh), axis=0).ravel())
+    make_layer(obj, role).data.foreach_set("color", np.repeat(rgba, corner_counts(mesh), axis=0).ravel())
     mesh.update_tag()
 
 
 def read_face_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
-    """[F, 3] sRGB: the mean over each face's corners of a colour attribute, as written by `write_face_colors`."""
+    """[F, 3] sRGB: the mean over each face's corners of any colour attribute."""
     with current_mesh(obj) as mesh:
         attribute = mesh.color_attributes[name]
         values = read(attribute.data, "color", 4)[:, :3]
@@ -63,19 +65,42 @@ def read_face_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
         return linear_to_srgb(arrays.mean_of_corners(corner_counts(mesh), values))
 
 
-def show_attribute(context: bpy.types.Context, obj: bpy.types.Object, name: str | None) -> None:
-    """Let Solid shading show the colour attribute `name`; None returns the viewports to the body's own colours."""
-    if name is None and OUTFIT in obj.data.color_attributes:
-        name = OUTFIT
-    if name is not None:
-        activate(obj, name)
+def written_colors(obj: bpy.types.Object, role: str = COLORS) -> np.ndarray:
+    """[F, 3] sRGB of our colour attribute in a role, as `write_face_colors` wrote it."""
+    return read_face_colors(obj, layer_name(obj.data, role))
+
+
+def show_attribute(obj: bpy.types.Object, role: str = "") -> None:
+    """Let Solid viewports show our colour attribute in a role; "" gives mesh and viewports back what they showed."""
+    role = role or (OUTFIT if layer_name(obj.data, OUTFIT) else "")
+    (activate if role else show_own)(obj, *filter(None, [role]))
     for _, area in areas("VIEW_3D"):
-        area.spaces.active.shading.color_type = "VERTEX" if name else "MATERIAL"
+        space = area.spaces.active
+        if role and space.shading.color_type != "VERTEX":
+            session.viewports[space.as_pointer()] = space.shading.color_type
+            space.shading.color_type = "VERTEX"
+        elif not role and space.shading.color_type == "VERTEX":
+            space.shading.color_type = session.viewports.pop(space.as_pointer(), "VERTEX")
 
 
-def activate(obj: bpy.types.Object, name: str) -> None:
-    """Make a colour attribute the one that viewports and renders show."""
-    attributes = obj.data.color_attributes
+def activate(obj: bpy.types.Object, role: str) -> None:
+    """Make our colour attribute in a role the one that viewports and renders show."""
+    mesh, before = obj.data, shown_attribute(obj)
+    if before not in {layer_name(mesh, ours) for ours in (COLORS, HEATMAP, OUTFIT)}:
+        mesh[PREFIX + SHOWN_BEFORE] = before
+    _activate(mesh, layer_name(mesh, role))
+
+
+def show_own(obj: bpy.types.Object) -> None:
+    """Make the colour attribute that the mesh showed before ours the shown one again, if there was one."""
+    mesh = obj.data
+    before = layer_name(mesh, OUTFIT) or mesh.get(PREFIX + SHOWN_BEFORE, "")
+    if before in mesh.color_attributes:
+        _activate(mesh, before)
+
+
+def _activate(mesh: bpy.types.Mesh, name: str) -> None:
+    attributes = mesh.color_attributes
     attributes.active_color = attributes[name]
     attributes.render_color_index = attributes.active_color_index
 
@@ -86,20 +111,21 @@ def shown_attribute(obj: bpy.types.Object) -> str:
     return name if name in obj.data.color_attributes else ""  # Blender 5.2 goes on naming one that was removed
 
 
-def shows_heat(obj: bpy.types.Object) -> bool:
-    """Whether the heat map is what viewports show."""
-    return shown_attribute(obj) == HEATMAP
+def shows(obj: bpy.types.Object, role: str) -> bool:
+    """Whether our colour attribute in a role is what viewports show."""
+    return bool(name := layer_name(obj.data, role)) and shown_attribute(obj) == name
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
-def attribute_material(name: str, title: str, unlit: bool = False) -> bpy.types.Material:
-    """The material of this title that shows the colour attribute `name`: as matte cloth, or `unlit`."""
-    material = bpy.data.materials.get(title)
-    if material is None or material.library is not None or not _shows_attribute(material, name):
-        material, source = new_material(title, "ShaderNodeVertexColor", unlit)
-        source.layer_name = name
+def attribute_material(name: str, role: str, title: str, unlit: bool = False) -> bpy.types.Material:
+    """Our material in a role that shows the colour attribute `name`, made where there is none: lit, or `unlit`."""
+    for material in bpy.data.materials:
+        if material.library is None and material.get(MATERIAL) == role and _shows_attribute(material, name):
+            return material
+    material, source = new_material(title, "ShaderNodeVertexColor", unlit)
+    source.layer_name, material[MATERIAL] = name, role
     return material
 
 
@@ -120,16 +146,16 @@ def new_material(title: str, kind: str, unlit: bool = False) -> tuple[bpy.types.
     return material, source
 
 
-def cloak_material(look: str) -> bpy.types.Material:
+def cloak_material(mesh: bpy.types.Mesh, look: str) -> bpy.types.Material:
     """The material of a look: the trained colours as they are, or on a matte cloth that light falls on."""
-    return attribute_material(CLOAK, LOOKS[look], unlit=look == SEEN)
+    return attribute_material(layer_name(mesh, COLORS), look, LOOKS[look], unlit=look == SEEN)
 
 
 def set_look(obj: bpy.types.Object, look: str) -> None:
     """Show a cloak that the object wears through the material of a look."""
     slot = _cloak_slot(obj.data)
     if slot is not None:
-        obj.data.materials[slot] = cloak_material(look)
+        obj.data.materials[slot] = cloak_material(obj.data, look)
 
 
 def nodes_of(owner: bpy.types.Material | bpy.types.World) -> tuple:
@@ -147,21 +173,21 @@ def _shows_attribute(material: bpy.types.Material, name: str) -> bool:
 def dress(obj: bpy.types.Object, face_ids: np.ndarray) -> None:
     """Give the logo's faces the cloak material and remember the slot each face had before."""
     undress(obj)
-    mesh = obj.data
+    mesh, look = obj.data, bpy.context.scene.cloak.look
     if not mesh.materials:
         mesh.materials.append(None)  # faces without a material use slot 0, which must stay plain
     if _cloak_slot(mesh) is None:
-        mesh.materials.append(cloak_material(bpy.context.scene.cloak.look))
-    set_look(obj, bpy.context.scene.cloak.look)
-    slots, slot = _read_slots(mesh), _cloak_slot(mesh)
-    write_attribute(mesh, OWN_MATERIAL, "INT", slots)
-    slots[face_ids] = slot
+        mesh.materials.append(cloak_material(mesh, look))
+    set_look(obj, look)
+    slots = _read_slots(mesh)
+    make_layer(obj, OWN_MATERIAL).data.foreach_set("value", slots)
+    slots[face_ids] = _cloak_slot(mesh)
     write_attribute(mesh, SLOTS, "INT", slots)
 
 
 def undress(obj: bpy.types.Object) -> None:
     """Give faces that wear the cloak material their own material back."""
-    if _cloak_slot(obj.data) is not None and OWN_MATERIAL in obj.data.attributes:
+    if _cloak_slot(obj.data) is not None and layer_name(obj.data, OWN_MATERIAL):
         write_attribute(obj.data, SLOTS, "INT", own_material_slots(obj))
 
 
@@ -174,14 +200,14 @@ def is_dressed(obj: bpy.types.Object) -> bool:
 def lost_its_cloak(obj: bpy.types.Object) -> bool:
     """Whether an object that was dressed misses material or attributes: undo takes them, Show Original does not."""
     mesh = obj.data
-    return _cloak_slot(mesh) is None or OWN_MATERIAL not in mesh.attributes or CLOAK not in mesh.color_attributes
+    return _cloak_slot(mesh) is None or not (layer_name(mesh, OWN_MATERIAL) and layer_name(mesh, COLORS))
 
 
 def own_material_slots(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None) -> np.ndarray:
     """[F] int32: each face's material slot, without the cloak; read from a copy of the object's mesh, where given."""
     mesh = mesh or obj.data
     slots = _read_slots(mesh)
-    slot, own = _cloak_slot(obj.data), mesh.attributes.get(OWN_MATERIAL)
+    slot, own = _cloak_slot(obj.data), mesh.attributes.get(layer_name(obj.data, OWN_MATERIAL))
     if slot is not None and own is not None and len(own.data) == len(slots):
         slots = np.where(slots == slot, read(own.data, "value", dtype=np.int32), slots)
     return slots
@@ -194,7 +220,7 @@ def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
 
 
 def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
-    shown = (index for index, m in enumerate(mesh.materials) if m is not None and _shows_attribute(m, CLOAK))
+    shown = (index for index, m in enumerate(mesh.materials) if m is not None and m.get(MATERIAL) in LOOKS)
     return next(shown, None)
 
 
@@ -205,14 +231,13 @@ def own_outfits(obj: bpy.types.Object) -> np.ndarray:
     """[K, F, 3] float32 sRGB: the body's own colours, and as it would look in its other outfits where it has them."""
     with current_mesh(obj) as mesh:
         own, slots = own_face_colors(obj), own_material_slots(obj, mesh)
-    outfit_slots = [i for i, s in enumerate(obj.material_slots) if s.material and _shows_attribute(s.material, OUTFIT)]
-    outfits, number = [own], 2
-    while outfit_slots and obj.data.color_attributes.get(f"{OUTFIT} {number}"):
+    first, outfits = layer_name(obj.data, OUTFIT), [own]
+    outfit_slots = [i for i, s in enumerate(obj.material_slots) if s.material and _shows_attribute(s.material, first)]
+    while outfit_slots and (name := layer_name(obj.data, f"{OUTFIT}.{len(outfits) + 1}")):
         other = own.copy()
         worn = np.isin(slots, outfit_slots)
-        other[worn] = np.clip(read_face_colors(obj, f"{OUTFIT} {number}")[worn], 0, 1)
+        other[worn] = np.clip(read_face_colors(obj, name)[worn], 0, 1)
         outfits.append(other)
-        number += 1
     return np.stack(outfits)
 
 
@@ -293,6 +318,14 @@ def view_transform_reason(scene: bpy.types.Scene) -> str:
     if changed or view.use_curve_mapping:
         return "Look, exposure, gamma or curves change the trained colours"
     return ""
+
+
+def light_reason(space: bpy.types.Space | None) -> str:
+    """Why a viewport's light changes the trained colours, by up to 76/255; "" where it does not."""
+    shading = space.shading if space is not None and space.type == "VIEW_3D" else None
+    if shading is None or shading.type != "SOLID" or shading.light == "FLAT":
+        return ""
+    return "Studio light in Solid view changes the trained colours"
 
 
 def use_standard_view(scene: bpy.types.Scene) -> None:

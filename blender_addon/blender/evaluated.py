@@ -20,10 +20,9 @@ from mathutils.geometry import closest_point_on_tri, intersect_ray_tri
 from ..files.errors import InputError
 from . import mesh_arrays as arrays
 from .faces import logo_names
+from .marks import CARRIED, copy_marks, layer_name, make_layer, remove_layer
 from .mesh_arrays import current_mesh, evaluated_mesh, read
 
-CARRIED = "cloak_carried_face"
-"""Integer face attribute, for the time of an export: each own face's number, counted from 1."""
 DEFORMS_ONLY = {
     "ARMATURE", "CAST", "CLOTH", "COLLISION", "CORRECTIVE_SMOOTH", "CURVE", "DATA_TRANSFER", "DISPLACE", "HOOK",
     "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE", "MESH_CACHE", "MESH_DEFORM", "NORMAL_EDIT", "SHRINKWRAP",
@@ -53,19 +52,21 @@ def numbered_faces(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """During the block the objects' own faces have numbers, which `carried_faces` reads off the evaluated mesh."""
     for obj in objects:
         with arrays.object_mode(obj):
-            arrays.write_attribute(obj.data, CARRIED, "INT", np.arange(1, len(obj.data.polygons) + 1, dtype=np.int32))
+            numbers = np.arange(1, len(obj.data.polygons) + 1, dtype=np.int32)
+            make_layer(obj, CARRIED).data.foreach_set("value", numbers)
+            obj.data.update_tag()
     try:
         yield
     finally:
         for obj in objects:
             with arrays.object_mode(obj):
-                obj.data.attributes.remove(obj.data.attributes[CARRIED])
+                remove_layer(obj.data, CARRIED)
                 obj.data.update_tag()
 
 
 def carried_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> np.ndarray | None:
     """[P] int: the own face that each evaluated face comes from, -1 for none; None where no number came through."""
-    attribute = evaluated.attributes.get(CARRIED)
+    attribute = evaluated.attributes.get(layer_name(obj.data, CARRIED))
     if attribute is None or attribute.domain != "FACE" or attribute.data_type != "INT" or not len(attribute.data):
         return None
     own = read(attribute.data, "value", dtype=np.int32) - 1
@@ -121,6 +122,7 @@ def applied_copy(context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types
     finally:
         for modifier in others:
             modifier.show_viewport = True
+    copy_marks(obj.data, mesh)
     copy = obj.copy()
     copy.data, copy.name = mesh, f"{obj.name} applied"
     mesh.name = copy.name

@@ -71,10 +71,16 @@ def object_mode(obj: bpy.types.Object) -> Iterator[None]:
             bpy.ops.object.mode_set(mode="EDIT")
 
 
-def require_object_mode(obj: bpy.types.Object, message: str) -> None:
-    """Raise `InputError` with this message while the object is in Edit Mode."""
-    if obj.mode == "EDIT":
-        raise InputError(message)
+def mode_reason(obj: bpy.types.Object, sentence: str) -> str:
+    """What to say ("Leave {mode} to see ...") while the object is edited, painted, or sculpted; "" in Object Mode."""
+    mode = obj.bl_rna.properties["mode"].enum_items[obj.mode].name + (" (Tab)" if obj.mode == "EDIT" else "")
+    return "" if obj.mode == "OBJECT" else sentence.replace("{mode}", mode)
+
+
+def require_object_mode(obj: bpy.types.Object, sentence: str) -> None:
+    """Raise `InputError` while the object is in another mode than Object Mode."""
+    if reason := mode_reason(obj, sentence):
+        raise InputError(reason)
 
 
 def choose(context: bpy.types.Context, obj: bpy.types.Object) -> None:

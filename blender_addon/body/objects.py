@@ -13,10 +13,10 @@ import bpy
 import numpy as np
 
 from ..blender.faces import logo_names
+from ..blender.marks import ORIGINAL_FACE, free_name, layer_name, mark
 from ..blender.mesh_arrays import bmesh_of
 from ..files.errors import InputError
 
-ORIGINAL_FACE = "cloak_original_face"  # integer face attribute that subdivision leaves: the face each one came from
 NO_BODY = "Choose a body first"
 
 
@@ -72,17 +72,18 @@ def subdivide(
     """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4, n-gons 1 -> n quads.
 
     With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
-    also logos) carry over; each face keeps the index it came from in the attribute `cloak_original_face`.
+    also logos) carry over; each face keeps the index it came from in our attribute `ORIGINAL_FACE`.
     """
     mesh = obj.data
     with bmesh_of(obj) as bm:
         before = len(bm.faces)
-        if bm.faces.layers.int.get(ORIGINAL_FACE) is None:
-            layer = bm.faces.layers.int.new(ORIGINAL_FACE)
+        if not layer_name(mesh, ORIGINAL_FACE):
+            layer = bm.faces.layers.int.new(free_name(obj, ORIGINAL_FACE))
+            mark(mesh, ORIGINAL_FACE, layer.name)
             for index, face in enumerate(bm.faces):
                 face[layer] = index
         show(0.05)
-        _split(bm, keep_quads=not triangulate, show=show)
+        _split(obj, bm, keep_quads=not triangulate, show=show)
         after = len(bm.faces)
         if obj.mode == "EDIT":
             bmesh.update_edit_mesh(mesh, destructive=True)
@@ -92,14 +93,15 @@ def subdivide(
     return before, after
 
 
-def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
+def _split(obj: bpy.types.Object, bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
+    hidden_name, corner_name = free_name(obj, "hidden"), free_name(obj, "corner")
     hidden = any(face.hide for face in bm.faces)
     if hidden:  # splitting does not hand the flag down reliably
-        layer = bm.faces.layers.int.new("cloak_hidden")
+        layer = bm.faces.layers.int.new(hidden_name)
         for face in bm.faces:
             face[layer] = face.hide
     has_ngons = any(len(f.verts) > 4 for f in bm.faces)
-    corner = bm.verts.layers.int.new("cloak_corner")
+    corner = bm.verts.layers.int.new(corner_name)
     for vert in bm.verts if has_ngons else ():
         vert[corner] = True
     show(0.1)
@@ -109,22 +111,22 @@ def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None
         for element in middles:
             if isinstance(element, bmesh.types.BMVert):
                 element[corner] = False  # new vertices take over the flags of the old
-        _split_ngons(bm, keep_quads)
+        _split_ngons(bm, corner_name, keep_quads)
     if not keep_quads:
         bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
     show(0.9)
     if hidden:
-        layer = bm.faces.layers.int["cloak_hidden"]
+        layer = bm.faces.layers.int[hidden_name]
         for face, flag in [(face, face[layer]) for face in bm.faces]:
             if face.hide != flag:
                 face.hide_set(flag)
         bm.faces.layers.int.remove(layer)
-    bm.verts.layers.int.remove(bm.verts.layers.int["cloak_corner"])
+    bm.verts.layers.int.remove(bm.verts.layers.int[corner_name])
 
 
-def _split_ngons(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
+def _split_ngons(bm: bmesh.types.BMesh, corner_name: str, keep_quads: bool) -> None:
     """Faces that edge subdivision left as one polygon with 2n corners get a centre, as Simple subdivision has it."""
-    corner = bm.verts.layers.int["cloak_corner"]
+    corner = bm.verts.layers.int[corner_name]
     for face in [f for f in bm.faces if len(f.verts) > 4]:
         ring = list(face.verts)
         (center,) = bmesh.ops.poke(bm, faces=[face], center_mode="MEAN")["verts"]

@@ -42,7 +42,7 @@ class CLOAK_OT_apply_copy(BodyOperator, label="Apply a Copy"):
 modifiers stay; shape keys end in their present mix"""
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        require_object_mode(obj, "Leave Edit Mode (Tab) to apply modifiers")
+        require_object_mode(obj, "Leave {mode} to apply modifiers")
         copy = applied_copy(context, obj)
         return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
 

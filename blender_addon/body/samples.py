@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
+from ..blender.marks import OUTFIT, layer_name
 from ..blender.mesh_arrays import box_of, choose
 from ..exchange.bodies import Bodies
 from ..files.errors import InputError
@@ -73,7 +74,7 @@ def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
 def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
     """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
 
-    The outfits become the corner colour attributes "Outfit", "Outfit 2" ..., the first shown by a material; the
+    The outfits become our colour attributes in the role `OUTFIT`, the first shown by a material; the
     scene's frame range is set to the poses.
     """
     mesh = bpy.data.meshes.new(bodies.name)
@@ -90,9 +91,9 @@ def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Obje
     obj = bpy.data.objects.new(bodies.name, mesh)
     context.collection.objects.link(obj)
     for number, outfit in enumerate(bodies.face_colors, 1):
-        colors.write_face_colors(obj, colors.OUTFIT if number == 1 else f"{colors.OUTFIT} {number}", outfit)
-    mesh.materials.append(colors.attribute_material(colors.OUTFIT, colors.OUTFIT))
-    colors.show_attribute(context, obj, colors.OUTFIT)
+        colors.write_face_colors(obj, OUTFIT if number == 1 else f"{OUTFIT}.{number}", outfit)
+    mesh.materials.append(colors.attribute_material(layer_name(mesh, OUTFIT), OUTFIT, "Cloak Outfit"))
+    colors.show_attribute(obj, OUTFIT)
     if bodies.pose_count > 1:
         _key_poses(context.scene, obj, poses, bodies.names)
     if context.mode == "OBJECT":

@@ -12,9 +12,9 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..blender import colors, faces
 from ..blender.blend_paths import first_free
-from ..blender.colors import HEAT
 from ..blender.faces import read_selection
-from ..blender.mesh_arrays import current_mesh, read, topology, write_attribute
+from ..blender.marks import COLORS, HEAT, HEATMAP, layer_name, layer_of, make_layer, remove_layer
+from ..blender.mesh_arrays import current_mesh, mode_reason, read, topology
 from ..body.garments import is_dressed
 from ..body.objects import active_body, logo_reason, object_of, of_the_body, refusal, upright_reason
 from ..exchange.face_lists import write_face_list
@@ -168,20 +168,20 @@ class CLOAK_OT_logo_import(BodyOperator, ImportHelper, label="Import Face List")
 @of_the_body
 def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why no logo can be made of a heat map."""
-    if obj.data.attributes.get(HEAT) is None:
+    if not layer_name(obj.data, HEAT):
         return f"'{obj.name}' has no heat map: press Heatmap first"
-    return "Leave Edit Mode (Tab) to take faces from the heat map" if obj.mode == "EDIT" else ""
+    return mode_reason(obj, "Leave {mode} to take faces from the heat map")
 
 
 @of_the_body
 def shown_heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why a heat map can be neither shown nor hidden."""
-    if obj.data.attributes.get(HEAT) is None:
+    if not layer_name(obj.data, HEAT):
         return f"'{obj.name}' has no heat map: press Heatmap first"
-    return "Leave Edit Mode (Tab) to see the heat map" if context.mode != "OBJECT" else ""
+    return mode_reason(obj, "Leave {mode} to see the heat map")
 
 
-class CLOAK_OT_heatmap(CloakOperator, label="Heatmap"):
+class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", trains=True):
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
 
     @staticmethod
@@ -201,7 +201,7 @@ class CLOAK_OT_heatmap(CloakOperator, label="Heatmap"):
             body = object_of(uid)
             if body is None or topology(body) != expected:
                 raise InputError("The body changed while its heat map was made: press Heatmap again")
-            show_heat(bpy.context, body, read_npy(folder / "heat.npy"))
+            show_heat(body, read_npy(folder / "heat.npy"))
             push_undo("Heatmap")
             shutil.rmtree(folder, ignore_errors=True)
             return "Heatmap: bright faces move the detector most"
@@ -216,27 +216,26 @@ def heatmap_words(options: list[str], folder: Path) -> list[object]:
     return ["logo", "heatmap", "--scene", folder / "scene", detector, *others, "--out", folder / "heat.npy"]
 
 
-def show_heat(context: bpy.types.Context, obj: bpy.types.Object, heat: np.ndarray) -> None:
+def show_heat(obj: bpy.types.Object, heat: np.ndarray) -> None:
     """Keep heat [F] on the mesh and show it in the viewports."""
     heat = np.asarray(heat, np.float32)[: len(obj.data.polygons)]
     if heat.shape != (len(obj.data.polygons),):
         raise InputError(f"The heat map has {len(heat)} values for {len(obj.data.polygons)} faces: press Heatmap again")
-    write_attribute(obj.data, HEAT, "FLOAT", heat)
-    colors.write_face_colors(obj, colors.HEATMAP, colors.heat_colors(heat))
-    colors.show_attribute(context, obj, colors.HEATMAP)
+    colors.write_face_colors(obj, HEATMAP, colors.heat_colors(heat))
+    make_layer(obj, HEAT).data.foreach_set("value", heat)
+    colors.show_attribute(obj, HEATMAP)
 
 
 class CLOAK_OT_heatmap_toggle(BodyOperator, label="Toggle Heatmap", needs=shown_heat_reason):
     """Show the heat map, or give the body its own look, or its cloak, back; the heat stays for New from Heatmap"""
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        if not colors.shows_heat(obj):
-            show_heat(context, obj, read(obj.data.attributes[HEAT].data, "value"))
+        if not colors.shows(obj, HEATMAP):
+            show_heat(obj, read(layer_of(obj.data, HEAT).data, "value"))
             return f"'{obj.name}' shows its heat map"
-        attributes = obj.data.color_attributes
-        colors.show_attribute(context, obj, colors.CLOAK if is_dressed(obj) and colors.CLOAK in attributes else None)
-        if colors.shows_heat(obj):  # a body without colours of its own has nothing else to show
-            attributes.remove(attributes[colors.HEATMAP])
+        colors.show_attribute(obj, COLORS if is_dressed(obj) and layer_name(obj.data, COLORS) else "")
+        if colors.shows(obj, HEATMAP):  # a body without colours of its own has nothing else to show
+            remove_layer(obj.data, HEATMAP)
         return f"'{obj.name}' shows its heat map no more"
 
 
@@ -244,6 +243,6 @@ class CLOAK_OT_logo_from_heat(BodyOperator, label="New from Heatmap", needs=heat
     """Make a logo of the faces that move the detector most for their size"""
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        heat = read(obj.data.attributes[HEAT].data, "value")
+        heat = read(layer_of(obj.data, HEAT).data, "value")
         ids = hottest_faces(heat, faces.face_areas(obj), context.scene.cloak.heat_share)
         return f"Logo '{take(obj, np.isin(np.arange(len(heat)), ids), 'Heat')}': {len(ids):,} faces"

@@ -17,6 +17,7 @@ from ..blender import colors, faces
 from ..blender import mesh_arrays as arrays
 from ..blender.evaluated import Surface
 from ..blender.faces import logo_mask
+from ..blender.marks import COLORS, HEATMAP
 from ..body.garments import worn_by
 from ..session import session
 from ..ui.drawing import Shape
@@ -28,6 +29,7 @@ OUTLINE = (1.0, 1.0, 1.0, 1.0)
 LIFT = 0.0008  # the tint floats this share of the body's size above the surface, so that the two do not flicker
 BLINK = 0.03  # longest computation, in seconds, that may run while drawing
 REST = 0.2  # seconds without a change after which what takes longer is computed
+PAINT = "cloak.paint_logo"  # the tool that paints a logo
 MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}  # events of a mouse that moves
 ADDED, TAKEN = (0.2, 0.9, 1.0, 0.55), (0.05, 0.05, 0.05, 0.6)
 _Key = tuple[str, int, object]
@@ -181,31 +183,38 @@ def _draw() -> None:
         return
     key = _key(obj) if obj.data.polygons else None
     shown = _shown_colors(obj)
-    if key is not None and shown == colors.HEATMAP:
+    if key is not None and (shown == HEATMAP or (shown == COLORS and _edits_logo(obj))):
         _outline.draw(obj, key, "LINES", OUTLINE)
-    elif key is not None and shown != colors.CLOAK:
+    elif key is not None and shown != COLORS:
         _tint.draw(obj, key, "TRIS", TINT)
 
 
+def _edits_logo(obj: bpy.types.Object) -> bool:
+    """Whether the user is at work on the logo, whose outline must then be seen on a worn cloak too."""
+    tool = bpy.context.workspace.tools.from_space_view3d_mode(bpy.context.mode, create=False)
+    return obj.mode == "EDIT" or (tool is not None and tool.idname == PAINT)
+
+
 def _shown_colors(obj: bpy.types.Object) -> str:
-    """Which colour attribute this viewport shows: a tint would falsify trained colours and hide a heat map."""
+    """Which colours of ours this viewport shows: a tint would falsify trained colours and hide a heat map."""
     shading = bpy.context.space_data.shading
     if shading.type == "SOLID":
-        return colors.shown_attribute(obj) if shading.color_type == "VERTEX" else ""
-    return colors.CLOAK if colors.is_dressed(obj) else ""
+        roles = (COLORS, HEATMAP) if shading.color_type == "VERTEX" else ()
+        return next((role for role in roles if colors.shows(obj, role)), "")
+    return COLORS if colors.is_dressed(obj) else ""
 
 
 @persistent
 def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """Note changes of geometry; selecting or moving an object changes no logo."""
+    """Note changes; selecting or moving an object changes no logo."""
     meshes = (bpy.types.Object, bpy.types.Mesh)
-    if any(update.is_updated_geometry and isinstance(update.id, meshes) for update in graph.updates):
-        _note_change()
+    shapes = any(update.is_updated_geometry and isinstance(update.id, meshes) for update in graph.updates)
+    session.note_change(geometry=shapes)
 
 
 @persistent
 def _note_change(*_: object) -> None:
-    session.mesh_changes, session.mesh_changed_at = session.mesh_changes + 1, time.monotonic()
+    session.note_change(geometry=True)
 
 
 def _forget() -> None:

@@ -14,11 +14,10 @@ from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
 from .operators import take
-from .overlay import ADDED, MOVES, TAKEN, Preview
+from .overlay import ADDED, MOVES, PAINT, TAKEN, Preview
 
 SPACING = 0.4  # of the radius: from one dab to the next
 RADIUS = "scene.cloak.brush_radius"
-PAINT = "cloak.paint_logo"
 
 
 class CLOAK_OT_logo_paint(BodyOperator, label="Paint Logo"):

@@ -4,12 +4,13 @@
 import bpy
 
 from ..blender import faces
-from ..blender.colors import HEAT, shows_heat
+from ..blender.colors import shows
+from ..blender.marks import HEAT, HEATMAP, layer_name
 from ..body.objects import active_body, body_reason, logo_reason
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import overlay
-from .paint import PAINT
+from .overlay import PAINT
 
 AREA = "Faces of the logo, and their share of the body's whole surface, as it stands now"
 PROJECTED = (
@@ -129,8 +130,8 @@ class CLOAK_PT_heatmap(CloakPanel, label="Heatmap", inside="logo"):
     def draw(self, context: bpy.types.Context) -> None:
         column = settings_column(self.layout).column(align=True)
         column.operator("cloak.heatmap", icon="SHADING_RENDERED")
-        if not body_reason(context) and active_body(context).data.attributes.get(HEAT):
-            shown = shows_heat(active_body(context))
+        if not body_reason(context) and layer_name(active_body(context).data, HEAT):
+            shown = shows(active_body(context), HEATMAP)
             text = "Hide Heatmap" if shown else "Show Heatmap"
             column.operator("cloak.heatmap_toggle", text=text, icon="HIDE_ON" if shown else "HIDE_OFF")
             column.prop(context.scene.cloak, "heat_share")

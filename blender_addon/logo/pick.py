@@ -8,8 +8,9 @@ import numpy as np
 from bpy.props import EnumProperty
 
 from ..blender import colors
+from ..blender.marks import our_names
 from ..blender.mesh_arrays import bmesh_of, corner_edges, current_mesh, polygon_loops, read
-from ..body.objects import ORIGINAL_FACE, body_reason
+from ..body.objects import body_reason
 from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
@@ -18,8 +19,6 @@ from .operators import selected_faces, take
 Items = list[tuple[str, str, str]]  # of a menu: value, name, description
 MEMBER = 0.5  # weight from which a vertex counts as part of its group
 MAX_SETS, TITLES = 64, {".sculpt_face_set": "Face Set"}
-NOT_SETS = {"material_index", colors.OWN_MATERIAL, ORIGINAL_FACE}
-"""Integer face attributes that Blender and Cloak keep for themselves."""
 
 
 def _menu(find: Callable[[bpy.types.Object], Items]) -> Callable[[object, bpy.types.Context | None], Items]:
@@ -52,7 +51,7 @@ def face_sets(obj: bpy.types.Object) -> Items:
     """
     found: Items = []
     with current_mesh(obj) as mesh:
-        for name in [attribute.name for attribute in mesh.attributes if is_face_set(attribute)]:
+        for name in [attribute.name for attribute in mesh.attributes if is_face_set(obj, attribute)]:
             title = TITLES.get(name, name)
             values = np.unique(_integers(mesh, name))[:MAX_SETS].tolist()
             found += [(f"{value} {name}", f"{title} {value}", f"Faces whose '{name}' is {value}") for value in values]
@@ -114,7 +113,7 @@ class CLOAK_OT_logo_from_group(
 class CLOAK_OT_logo_from_face_set(
     PickOperator,
     label="From Face Set",
-    has=lambda obj: any(map(is_face_set, obj.data.attributes)),
+    has=lambda obj: any(is_face_set(obj, attribute) for attribute in obj.data.attributes),
     lacks="The body has no face sets (integer face attributes)",
 ):
     """Make a logo of a sculpting face set, or of the faces that share a value of an integer face attribute"""
@@ -147,10 +146,10 @@ def of_vertex_group(obj: bpy.types.Object, group: int) -> np.ndarray:
     return np.minimum.reduceat(member[loops], np.cumsum(counts) - counts)
 
 
-def is_face_set(attribute: bpy.types.Attribute) -> bool:
-    """Whether a mesh attribute sorts faces by whole numbers, and is not kept by Blender or Cloak for themselves."""
-    whole = attribute.data_type in ("INT", "INT8")
-    return whole and attribute.domain == "FACE" and attribute.name not in NOT_SETS
+def is_face_set(obj: bpy.types.Object, attribute: bpy.types.Attribute) -> bool:
+    """Whether an attribute sorts an object's faces by whole numbers, and is not kept by Blender or Cloak themselves."""
+    whole = attribute.data_type in ("INT", "INT8") and attribute.domain == "FACE"
+    return whole and attribute.name not in {colors.SLOTS, *our_names(obj.data)}
 
 
 def _integers(mesh: bpy.types.Mesh, name: str) -> np.ndarray:

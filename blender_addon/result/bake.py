@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
+from ..blender.marks import COLORS, UV_MAP, free_name, layer_name, mark
 from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, require_object_mode, triangle_corners
 from ..blender.occlusion import depth_buffer
 from ..files.errors import InputError
@@ -19,7 +20,7 @@ from ..files.errors import InputError
 MARGIN = 4  # texels by which colours go on beyond the islands
 OFF = 4 / 255  # largest colour error of a face in the image
 FEW = 0.005  # share of wrong faces above which Cloak makes its own UV map
-OWN_MAP = "Cloak UV"
+MOST_AREA = 4.0  # unit squares: where faces overlap more, nothing of the map can be used, and it would take long
 FEWEST = 3  # texels along a face's square, at least
 
 
@@ -34,13 +35,16 @@ class Baked:
 
 
 def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambda fraction: None) -> Baked:
-    """An image of what the body wears; makes the map `OWN_MAP` where the body has none, or one with too little room."""
+    """An image of what the body wears; makes a map of ours where the body has none, or one with too little room."""
     mesh = obj.data
-    require_object_mode(obj, "Leave Edit Mode (Tab) to bake the cloak")
-    if colors.CLOAK not in mesh.color_attributes:
+    require_object_mode(obj, "Leave {mode} to bake the cloak")
+    if not layer_name(mesh, COLORS):
         raise InputError(f"'{obj.name}' wears no trained colours: press Load Colours first")
-    wanted, before = colors.read_face_colors(obj, colors.CLOAK), None
-    users = next((layer for layer in (mesh.uv_layers.active, *mesh.uv_layers) if layer and layer.name != OWN_MAP), None)
+    wanted, before = colors.written_colors(obj), None
+    ours = layer_name(mesh, UV_MAP)
+    users = next((layer for layer in (mesh.uv_layers.active, *mesh.uv_layers) if layer and layer.name != ours), None)
+    if users is not None and uv_area(mesh, users.name) > MOST_AREA:
+        users = None
     if users is not None:
         name = users.name
         pixels = _on_map(mesh, name, wanted, size)
@@ -49,7 +53,7 @@ def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambd
         if off > FEW * len(wanted):
             before, users = off, None
     if users is None:
-        name = make_own_map(mesh, size)
+        name = make_own_map(obj, size)
         pixels = squares(len(wanted), size, wanted)
         show(0.6)
         off = faces_off(mesh, name, pixels, wanted)
@@ -59,6 +63,13 @@ def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambd
     image.update()
     image.pack()
     return Baked(image, name, off, before)
+
+
+def uv_area(mesh: bpy.types.Mesh, uv_map: str) -> float:
+    """The area of all faces on a UV map, in unit squares."""
+    places = read(mesh.uv_layers[uv_map].uv, "vector", 2)[triangle_corners(mesh)[0]].astype(float)
+    a, b = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+    return float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()) / 2
 
 
 def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.ndarray) -> int:
@@ -88,8 +99,9 @@ def squares_along(count: int, size: int) -> int:
     return side
 
 
-def make_own_map(mesh: bpy.types.Mesh, size: int) -> str:
-    """Give each face a square of texels on the UV map `OWN_MAP`, its corners half a texel inside."""
+def make_own_map(obj: bpy.types.Object, size: int) -> str:
+    """Give each face a square of texels on a UV map of ours, its corners half a texel inside; returns its name."""
+    mesh = obj.data
     counts = corner_counts(mesh)
     side, face = squares_along(len(counts), size), np.repeat(np.arange(len(counts)), counts)
     step, turn = size // side, np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -97,17 +109,18 @@ def make_own_map(mesh: bpy.types.Mesh, size: int) -> str:
     around = np.stack([np.cos(angle), np.sin(angle)], -1)
     around /= np.abs(around).max(1, keepdims=True)  # from a circle onto the square
     middle = (np.stack([face % side, face // side], -1) + 0.5) * step
-    layer = mesh.uv_layers.get(OWN_MAP)
-    if layer is None:
-        shown = mesh.uv_layers.active
-        layer = mesh.uv_layers.new(name=OWN_MAP, do_init=False)
-        if shown is not None:
-            mesh.uv_layers.active = mesh.uv_layers[shown.name]
-        layer = mesh.uv_layers.get(OWN_MAP)
-    if layer is None:
-        raise InputError("The mesh has as many UV maps as Blender allows: delete one")
-    layer.uv.foreach_set("vector", ((middle + around * (step / 2 - 0.5)) / size).astype(np.float32).ravel())
-    return OWN_MAP
+    if not layer_name(mesh, UV_MAP):
+        shown = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
+        layer = mesh.uv_layers.new(name=free_name(obj, UV_MAP), do_init=False)
+        if layer is None:
+            raise InputError("The mesh has as many UV maps as Blender allows: delete one")
+        mark(mesh, UV_MAP, layer.name)
+        if shown:
+            mesh.uv_layers.active = mesh.uv_layers[shown]
+    mesh.uv_layers[layer_name(mesh, UV_MAP)].uv.foreach_set(
+        "vector", ((middle + around * (step / 2 - 0.5)) / size).astype(np.float32).ravel()
+    )
+    return layer_name(mesh, UV_MAP)
 
 
 def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ asks again when the view, the body or the colours have changed, as soon as the l
 over the viewport only where they belong to what it shows.
 """
 
+import logging
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -24,7 +25,7 @@ from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.command_lines import cloak_command, options
 from ..trainer.onlooker import Onlooker, Seen
-from ..trainer.preferences import local_python
+from ..trainer.preferences import trainer
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
@@ -32,6 +33,7 @@ from ..ui.window import Hooks, areas, main_region, redraw
 from .reasons import export_worn, worn_reason
 from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
+LOG = logging.getLogger(__name__)
 LONGEST = 640  # pixels along the longer side of the pictures that the detector gets
 TICK_SECONDS = 0.2
 
@@ -45,7 +47,7 @@ class Eye:
         self.viewpoint: Viewpoint | None = None  # viewpoint of the last answer
         self.region = 0  # the viewport that is looked from, by its address; 0 for any
         self._uid, self._folder = obj.session_uid, folder
-        self._python = local_python()
+        self._program = trainer()
         self._look_with(judges(settings), settings.device)
         self._asked: tuple | None = None
         self._asked_from: Viewpoint | None = None
@@ -56,7 +58,7 @@ class Eye:
     def _look_with(self, specs: tuple[str, ...], device: str) -> None:
         """Start the process of these detectors."""
         self.specs = specs
-        command = cloak_command(self._python, "look", "-", *options(specs, device=device))
+        command = cloak_command(self._program, "look", "-", *options(specs, device=device))
         self._onlooker = Onlooker(command, self._folder)
 
     @property
@@ -182,9 +184,11 @@ def tick() -> float | None:
         return None
     try:
         session.eye.tick(bpy.context)
-    except InputError as error:
+    except Exception as error:
+        if not isinstance(error, InputError):
+            LOG.exception("Detector's eye")
         session.eye.close()
-        session.eye, session.eye_closed_because = None, str(error)
+        session.eye, session.eye_closed_because = None, str(error) or type(error).__name__
         redraw()
         return None
     return TICK_SECONDS

@@ -7,6 +7,7 @@ import bpy
 
 from ..blender import colors
 from ..blender.blend_paths import absolute
+from ..blender.mesh_arrays import mode_reason
 from ..body.garments import is_dressed, undress
 from ..body.objects import active_body, object_of, of_the_body, refusal
 from ..poses.export import poses_reason
@@ -14,9 +15,9 @@ from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, run_cloak, waits
-from ..trainer.preferences import chosen_python
+from ..trainer.preferences import trainer
 from ..training import run_list, runs
-from ..training.detectors import judges, thresholds
+from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..translations import said
 from ..ui import props
@@ -29,8 +30,7 @@ from .reasons import export_worn, judged_reason, result_reason
 
 def wear_reason(context: bpy.types.Context) -> str:
     """Why the body cannot be given, or be rid of, the colours."""
-    reason = result_reason(context)
-    return reason or ("Leave Edit Mode (Tab) to see the colours on the model" if context.mode != "OBJECT" else "")
+    return result_reason(context) or mode_reason(active_body(context), "Leave {mode} to see the colours on the model")
 
 
 @of_the_body
@@ -65,7 +65,7 @@ class CLOAK_OT_result_toggle(BodyOperator, label="Toggle Cloak", needs=wear_reas
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if is_dressed(obj):
             undress(obj)
-            colors.show_attribute(context, obj, None)
+            colors.show_attribute(obj)
             return f"'{obj.name}' shows its own materials"
         runs.import_colors(context, obj, run_of(obj))
         return f"'{obj.name}' wears the cloak"
@@ -85,16 +85,18 @@ class CLOAK_OT_explain(CloakOperator, label="Explain"):
 
 
 class CLOAK_OT_use_standard_view(CloakOperator, label="Use Standard"):
-    """Set the scene's colour management to Standard, which shows the trained colours as the detector saw them"""
+    """Show the trained colours as the detector saw them: Standard colours and, in a Solid viewport, flat light"""
 
     bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
         colors.use_standard_view(context.scene)
-        return "View transform: Standard"
+        if lit := colors.light_reason(context.space_data):
+            context.space_data.shading.light = "FLAT"
+        return "View transform: Standard" + (", flat light" if lit else "")
 
 
-class CLOAK_OT_open_report(CloakOperator, label="Open Report", needs=report_reason):
+class CLOAK_OT_open_report(CloakOperator, label="Open Report", needs=report_reason, trains=True):
     """Open the run's report in the web browser, after making it if need be"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -112,28 +114,28 @@ def _open(report: Path) -> str:
     return f"Opened {report}"
 
 
-class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason):
+class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason, trains=True):
     """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
 
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak
         run = run_of(obj)
         folder = render_check.new_folder_in(runs.side_folder(run))
-        points, python = thresholds(settings, render_check.THRESHOLD), chosen_python()
+        specs, program = judges(settings), trainer()
         angles = tuple(range(settings.angle_first, settings.angle_last + 1, settings.angle_step))
         plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
         images = render_check.image_paths(plan)
-        check = lambda spec, image: cloak_command(python, "detectors", "check", spec, "--image", image)
-        commands = [render_check.prepare(plan), *(check(spec, image) for spec in points for image in images)]
+        check = lambda spec, image: cloak_command(program, "detectors", "check", spec, "--image", image)
+        commands = [render_check.prepare(plan), *(check(spec, image) for spec in specs for image in images)]
         uid = obj.session_uid
-        job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, points, uid)))
+        job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, specs, uid)))
         return f"Rendering {len(images)} images into {folder}" + waits(job)
 
 
-def _judge(job: Job, plan: render_check.Plan, points: dict[str, float], uid: int) -> str | None:
+def _judge(job: Job, plan: render_check.Plan, specs: tuple[str, ...], uid: int) -> str | None:
     if job.state != "done":
         return None
-    found, obj = render_check.verdicts(plan, points, job.outputs[1:]), object_of(uid)
+    found, obj = render_check.verdicts(plan, specs, job.outputs[1:]), object_of(uid)
     job.is_bad_news = not all(verdict.holds for verdict in found)
     if obj is not None:
         obj.cloak.verdict = render_check.describe_all(found)
@@ -149,7 +151,7 @@ def evaluate_reason(context: bpy.types.Context) -> str:
     return reason or ("" if not folder or Path(folder).is_dir() else f"Backgrounds folder {folder} does not exist")
 
 
-class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason):
+class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason, trains=True):
     """Measure the run's colours on bodies, backgrounds and angles that training did not see, all around the body, \
 beside controls on the same images. The result is shown here and as a ring around the body"""
 
@@ -179,7 +181,7 @@ def _evaluated(job: Job, run: Path) -> str | None:
     return f"{outcome}: {found.describe()}"
 
 
-class CLOAK_OT_eye(CloakOperator, label="Detector's Eye"):
+class CLOAK_OT_eye(CloakOperator, label="Detector's Eye", trains=True):
     """Let the detector look at the body from where you look, or the camera, and draw what it sees over the viewport. \
 It goes on looking as you move, and while a training runs, until this is pressed again"""
 

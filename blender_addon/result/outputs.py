@@ -6,8 +6,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..blender import colors
 from ..blender.blend_paths import first_free
+from ..blender.marks import COLORS, layer_name
 from ..body.objects import active_body, of_the_body, refusal, scene_axes
 from ..files.errors import InputError
 from ..files.writing import write_text
@@ -76,7 +76,7 @@ def made_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return reason or ("" if made(run_of(obj)) else "Nothing was made of this run yet")
 
 
-class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reason):
+class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reason, trains=True):
     """Lay the logo out flat at true size: sheets to print and cut (PDF), a texture, and the body with it (GLB, OBJ)"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -91,7 +91,7 @@ class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reas
         return f"Laying the logo out in {place}{waits}"
 
 
-class CLOAK_OT_turntable(CloakOperator, label="Turntable", needs=film_reason):
+class CLOAK_OT_turntable(CloakOperator, label="Turntable", needs=film_reason, trains=True):
     """Film the body as it stands from all around, in own clothing and in the cloak, with what the detector sees"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -99,7 +99,7 @@ class CLOAK_OT_turntable(CloakOperator, label="Turntable", needs=film_reason):
         return film(context, self.bl_label, TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"], PoseChoice())
 
 
-class CLOAK_OT_film(CloakOperator, label="Film with Camera"):
+class CLOAK_OT_film(CloakOperator, label="Film with Camera", trains=True):
     """Film the body along the way of the scene's camera, over the scene's frames, in own clothing and in the cloak, \
 with what the detector sees. The camera looks at the middle of the body, which with Poses > Current Pose stands still"""
 
@@ -145,7 +145,7 @@ or one with too little room, Cloak makes one of its own"""
     @staticmethod
     @of_the_body
     def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        return "" if colors.CLOAK in obj.data.color_attributes else "Train, or load colours, first"
+        return "" if layer_name(obj.data, COLORS) else "Train, or load colours, first"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         done = bake.bake(obj, self.size, self.show)

@@ -45,7 +45,7 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
         column.operator("cloak.result_load", icon="IMPORT")
         column.operator("cloak.result_toggle", text="Show Original" if dressed else "Show Cloak", icon="HIDE_OFF")
         column.prop(context.scene.cloak, "look")
-        warning = colors.view_transform_reason(context.scene)
+        warning = colors.view_transform_reason(context.scene) or colors.light_reason(context.space_data)
         if warning and not reason:
             box = self.layout.box()
             wrapped(box, context, warning, icon="ERROR")
@@ -73,10 +73,10 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
                 cell.template_icon(icon_of(path), scale=4.0)
                 for check in checks:
                     score = check.scores[number]
-                    figure(cell, f"{score:.2f}", SCORE, "HIDE_OFF" if score >= check.threshold else "HIDE_ON")
+                    figure(cell, f"{score:.2f}", SCORE, "HIDE_OFF" if score > check.threshold else "HIDE_ON")
 
 
-class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result"):
+class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", trains=True):
     """What the cloak is worth where training never saw it"""
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -137,7 +137,7 @@ class CLOAK_PT_take_along(CloakPanel, label="Take Along", inside="result"):
             row.operator("cloak.show_made", text="Open").path = str(path)
 
 
-class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True):
+class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True, trains=True):
     """What the detector makes of the body from where you look"""
 
     def draw(self, context: bpy.types.Context) -> None:

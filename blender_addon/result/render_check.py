@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Does the cloak survive a path tracer? Cycles renders the body from the training cameras, and the detector judges.
 
-The rendering is done by a second Blender on a copy of the file (`train.py -- render-check PLAN`), so that the first one
-stays usable. Camera and light are those of training: distance 2.2 m, elevation 6 degrees, vertical field of view 60
-degrees, 416 x 416 pixels; ambient 0.5 and one light of 0.3 from in front and above.
+The rendering is done by a second Blender on a copy of the file, so that the first one stays usable. Camera and light
+are those of training: distance 2.2 m, elevation 6 degrees, vertical field of view 60 degrees, 416 x 416 pixels; ambient
+0.5 and one light of 0.3 from in front and above.
 """
 
 import itertools
@@ -26,13 +26,27 @@ from ..files.reading import read_json
 from ..files.specs import without_folders
 from ..files.writing import write_json, written
 
-THRESHOLD = 0.6  # a person counts as detected at this score
+THRESHOLD = 0.6  # of checks of version 1.0 that do not say theirs
 DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
 LIGHT_POSITION = (0.0, -100.0, 85.0)
 AMBIENT, DIFFUSE = 0.5, 0.3
 SAMPLES = 32
 IMAGES = (".jpg", ".jpeg", ".png", ".webp")
 BLEND, PLAN, VERDICT = "check.blend", "plan.json", "verdict.json"
+
+
+_RENDER = """
+import bpy, importlib, os, sys, traceback
+try:
+    bpy.ops.preferences.addon_enable(module={package!r})
+    importlib.import_module({package!r} + ".result.render_check").run_plan({plan!r})
+except Exception:
+    traceback.print_exc()
+    sys.stderr.flush()
+    os._exit(1)
+os._exit(0)
+"""
+"""What the second Blender runs. It leaves at once: the bpy package may wait for ever in its own destructors."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +77,18 @@ def prepare(plan: Plan) -> list[str]:
     blend = plan.folder / BLEND
     bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False, check_existing=False)
     write_json(plan.folder / PLAN, asdict(plan) | {"folder": str(plan.folder)})
-    script = str(Path(__file__).parents[1] / "train.py")
-    arguments = ["--", "render-check", str(plan.folder / PLAN)]
+    code = _RENDER.format(package=__package__.rpartition(".")[0], plan=str(plan.folder / PLAN))
     if bpy.app.binary_path:
-        return [bpy.app.binary_path, "-b", str(blend), "--python-exit-code", "1", "-P", script, *arguments]
-    return [sys.executable, script, *arguments]
+        return [bpy.app.binary_path, "-b", "--python-exit-code", "1", "--python-expr", code]
+    return [sys.executable, "-c", code]
 
 
-def run_plan(path: Path) -> None:
-    """Render a plan; runs in the second Blender."""
+def run_plan(file: str) -> None:
+    """Render the plan in a file; runs in the second Blender."""
+    path = Path(file)
     plan = Plan(**read_json(path) | {"folder": path.parent})
     bpy.ops.wm.open_mainfile(filepath=str(plan.folder / BLEND))
+    (plan.folder / BLEND).unlink()  # as large as the user's file, and of no use to anybody
     obj = bpy.data.objects[plan.object]
     files = sorted(Path(plan.backgrounds).iterdir()) if plan.backgrounds else ()
     photographs = [path for path in files if path.suffix.lower() in IMAGES]
@@ -96,7 +111,7 @@ class Verdict:
     """Highest person score of each render: first those with the cloak, then as many without (control)."""
     images: tuple[Path, ...]  # the renders in the order of the scores
     spec: str
-    threshold: float  # the detector reports a person from this score on
+    threshold: float  # the detector reports a person above this score: its own operating point
 
     @property
     def with_cloak(self) -> tuple[float, ...]:
@@ -113,7 +128,7 @@ class Verdict:
 
     def found(self, scores: tuple[float, ...]) -> int:
         """In how many renders it reports a person."""
-        return sum(score >= self.threshold for score in scores)
+        return sum(score > self.threshold for score in scores)
 
     def describe(self) -> str:
         """In one line, the outcome first."""
@@ -130,15 +145,16 @@ class Verdict:
         )
 
 
-def verdicts(plan: Plan, thresholds: dict[str, float], answers: list[str]) -> list[Verdict]:
+def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> list[Verdict]:
     """What each detector said about the images of `image_paths`; kept beside them for `last_verdicts`."""
     try:
-        scores = [float(json.loads(text)["max_person"]) for text in answers]
+        records = [json.loads(text) for text in answers]
+        scores = [(float(record["max_person"]), float(record["operating_point"])) for record in records]
     except (ValueError, KeyError, TypeError):
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
     images = tuple(image_paths(plan))
-    by_detector = zip(*[iter(scores)] * len(images), strict=True)
-    found = [Verdict(own, images, *one) for own, one in zip(by_detector, thresholds.items(), strict=True)]
+    of_each = zip(specs, zip(*[iter(scores)] * len(images), strict=True), strict=True)
+    found = [Verdict(tuple(score for score, _ in own), images, spec, own[0][1]) for spec, own in of_each]
     record = {v.spec: {"scores": v.scores, "threshold": v.threshold} for v in found}
     write_json(plan.folder / VERDICT, {"detectors": record, "images": [path.name for path in images]})
     return found

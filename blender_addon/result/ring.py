@@ -16,6 +16,7 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from mathutils import Matrix, Vector
 
 from ..blender import colors
+from ..blender.marks import HEATMAP
 from ..blender.mesh_arrays import box_of
 from ..body.garments import is_dressed
 from ..training import run_list
@@ -106,7 +107,7 @@ def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | N
     if obj is None or obj.type != "MESH" or state is None or state.evaluation is None:
         return None
     wanted = context.scene.cloak.judging.ring and obj.visible_get() and obj.data.polygons
-    seen = wanted and state.evaluation.worst_sectors() and is_dressed(obj) and not colors.shows_heat(obj)
+    seen = wanted and state.evaluation.worst_sectors() and is_dressed(obj) and not colors.shows(obj, HEATMAP)
     return (obj, state.evaluation) if seen else None
 
 

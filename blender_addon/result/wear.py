@@ -21,7 +21,7 @@ from ..ui import props
 from ..ui.drawing import icon_of, short
 from ..ui.operator import CloakOperator
 from ..ui.panel_parts import CloakPanel, settings_column, wrapped
-from .evaluations import CONTROLS
+from .evaluations import CONTROLS, kept_back
 from .reasons import result_reason
 
 WEAR, ANSWER = "worn by people", "answer.json"
@@ -76,13 +76,25 @@ def _rates(told: dict) -> dict[str, float]:
     return {name: rate for name, rate in rates.items() if rate is not None}
 
 
-class CLOAK_OT_wear(CloakOperator, label="Wear"):
+def foreign_reason(obj: bpy.types.Object) -> str:
+    """Why people in photographs cannot wear a body's run: they are fitted with the faces of Cloak's own people."""
+    run = run_of(obj)
+    if obj.cloak.made_from or kept_back(run) or (run / "zoo.json").is_file() or (run / "cloth.png").is_file():
+        return ""
+    return (
+        f"People in photographs wear what was trained on Cloak's own people, and '{obj.name}' is none of them: train "
+        "on the sample body, or carry the colours over (cloak logo transfer)"
+    )
+
+
+class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
     """Lay the run's colours onto the people of photographs, and let the detectors judge them before and after"""
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
         settings = context.scene.cloak
-        return result_reason(context) or refusal(people_file, settings.judging.people) or refusal(judges, settings)
+        reason = result_reason(context) or refusal(people_file, settings.judging.people) or refusal(judges, settings)
+        return reason or foreign_reason(active_body(context))
 
     def run(self, context: bpy.types.Context) -> str:
         settings, run = context.scene.cloak, run_of(active_body(context))
@@ -114,7 +126,7 @@ class CLOAK_OT_wear_page(CloakOperator, label="Turn the Page"):
         return ""
 
 
-class CLOAK_PT_wear(CloakPanel, label="Wear", inside="result"):
+class CLOAK_PT_wear(CloakPanel, label="Wear", inside="result", trains=True):
     """The cloak on people in photographs"""
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..files.specs import split_spec
+from .program import start_words
 
 SAMPLES = {"BARE": "sample:train", "CLOTHED": "sample-clothed:train"}
 """Training splits of the sample people; the other splits are held out for evaluation."""
@@ -48,14 +49,14 @@ def _absolute_file(part: str) -> str:
     return part
 
 
-def cloak_command(python: str, *words: object) -> list[str]:
+def cloak_command(program: str, *words: object) -> list[str]:
     """A command of the trainer, `cloak WORDS...`, that prints its answer as JSON."""
-    return [python, "-m", "cloak_core", *map(str, words), "--json"]
+    return [*start_words(program), *map(str, words), "--json"]
 
 
-def train_command(python: str, options: list[str], scene: Path, logo: Path, run: Path) -> list[str]:
+def train_command(program: str, options: list[str], scene: Path, logo: Path, run: Path) -> list[str]:
     """Return the command line of `cloak train` on an export; `--resume` may be appended."""
-    return cloak_command(python, "train", "--scene", scene, "--logo", logo, *options, "--out", run)
+    return cloak_command(program, "train", "--scene", scene, "--logo", logo, *options, "--out", run)
 
 
 def sample_words(out: Path, people: str = "BARE") -> list[object]:

@@ -11,6 +11,7 @@ import math
 import os
 import subprocess
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -20,9 +21,9 @@ from ..files.errors import InputError
 from ..session import session
 from ..ui.window import redraw
 from .command_lines import cloak_command
-from .preferences import chosen_python, through
-from .progress import Progress, read_events
-from .python import start_process
+from .preferences import trainer
+from .program import start_process
+from .progress import Progress, duration, read_events
 
 TICK_SECONDS = 0.25
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
@@ -50,7 +51,7 @@ class Job:
         self.on_end, self._commands, self._process = on_end, list(commands), None
         self.log = folder / f"{name}.log"  # what the commands said on standard error
         self._out = folder / f"{name}.out"
-        self._events, self._cancelled = events, False
+        self._events, self._cancelled, self._begun = events, False, 0.0
 
     @property
     def running(self) -> bool:
@@ -77,12 +78,13 @@ class Job:
         if self._cancelled:
             return f"{self.label}{of} (stopping)"
         if not self._events:
-            return f"{self.label}{of}"
+            return f"{self.label}{of}, {duration(time.monotonic() - self._begun)}"
         return f"{self.label} {self.progress.describe()}" if self.progress.steps else f"{self.label}: preparing..."
 
     def start(self) -> "Job":
         """Start its next command; raises `InputError` where that cannot be."""
         self._process = self._process or self._start(self._commands[len(self.outputs)])
+        self._begun = time.monotonic() if self.state == "waiting" else self._begun
         self.state = "running"
         return self
 
@@ -90,13 +92,13 @@ class Job:
         """Start it; where that cannot be, it has failed."""
         try:
             self.start()
-        except InputError as error:
-            self._finish("failed", str(error))
+        except Exception as error:
+            self._finish("failed", self.reason(error))
 
     def _start(self, command: list[str]) -> subprocess.Popen:
         # Ctrl-C in Blender's terminal is ours to pass on.
         options = {"stdin": subprocess.DEVNULL, "start_new_session": os.name == "posix"}
-        return start_process(through(command), self._out, self.log, **options)
+        return start_process(command, self._out, self.log, **options)
 
     def poll(self) -> bool:
         """Look in on the process; True while there is more to wait for."""
@@ -136,8 +138,29 @@ class Job:
         if self.on_end is not None:
             try:
                 self.message = self.on_end(self) or self.message
-            except InputError as error:
-                self.state, self.message = "failed", str(error)
+            except Exception as error:
+                self.state, self.message = "failed", self.reason(error)
+
+    def reason(self, error: Exception) -> str:
+        """One line on what went wrong, for the panel; of a defect its traceback goes into the log."""
+        if isinstance(error, InputError):
+            return str(error)
+        with contextlib.suppress(OSError), self.log.open("a", encoding="utf-8") as log:
+            traceback.print_exception(error, file=log)
+        return f"{self.label}: a defect of the add-on ({type(error).__name__}: {error}); see {self.log}"
+
+    def look(self) -> None:
+        """`poll` and `on_tick` for the timer: whatever goes wrong is shown, and is the end of this job at most."""
+        try:
+            self.poll()
+        except Exception as error:
+            self.cancel()
+            self._finish("failed", self.reason(error))
+        try:
+            if self.on_tick is not None:
+                self.on_tick(self)
+        except Exception as error:
+            self.notice = self.reason(error)
 
     def cancel(self) -> None:
         """Ask the process to stop, which may take a moment; a queued job stops at once."""
@@ -256,7 +279,7 @@ def run_cloak(label: str, words: Iterable, folder: Path, name: str, on_done: OnE
     events = folder / f"{name}.jsonl" if follow else None
     if events:
         events.unlink(missing_ok=True)
-    command = cloak_command(chosen_python(), *words, *(["--events", events] if events else []))
+    command = cloak_command(trainer(), *words, *(["--events", events] if events else []))
     on_end = lambda job: on_done(job) if job.state == "done" else None
     return waits(launch(Job(label, [command], folder, name, on_end, events)))
 
@@ -270,9 +293,7 @@ def tick() -> float | None:
     """The timer's function: seconds until it wants to be called again, None when all jobs have ended."""
     job = session.job
     if job is not None and job.running:
-        job.poll()
-        if job.on_tick is not None:
-            job.on_tick(job)
+        job.look()
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
     for waiting in [job for job in session.jobs if job.state == "waiting"]:
         if not session.job.running:

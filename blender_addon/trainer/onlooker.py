@@ -14,10 +14,9 @@ from pathlib import Path
 from ..files.errors import InputError
 from ..files.reading import read_json
 from .jobs import last_words
-from .python import start_process
+from .program import start_process
 
 ANSWER = "look.json"
-THRESHOLD = 0.6
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,7 @@ class Glance:
 
     def describe(self) -> str:
         """found, 0.97."""
-        words = "found" if self.score > THRESHOLD else "found, unsurely" if self.found else "hidden"
-        return f"{words}, {self.score:.2f}"
+        return f"{'found' if self.found else 'hidden'}, {self.score:.2f}"
 
 
 @dataclass(frozen=True)

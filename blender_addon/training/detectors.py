@@ -16,9 +16,9 @@ from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
 from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, waits
-from ..trainer.preferences import chosen_python, user_folder
+from ..trainer.preferences import trainer, user_folder
 from ..ui import props
-from ..ui.operator import CloakOperator
+from ..ui.operator import WITH_UNDO, CloakOperator, push_undo
 
 BUILTIN = "builtin"
 FAMILIES = {
@@ -136,12 +136,6 @@ def judges(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
     return tuple(dict.fromkeys(detector.full for detector in ordered)) or (BUILTIN,)
 
 
-def thresholds(settings: bpy.types.PropertyGroup, otherwise: float) -> dict[str, float]:
-    """From which score on each of `judges` counts as reporting."""
-    known = {detector.full: detector.threshold or otherwise for detector in settings.detectors}
-    return {spec: known.get(spec, otherwise) for spec in judges(settings)}
-
-
 def active_detector(settings: bpy.types.PropertyGroup) -> CloakDetector | None:
     """The one that is chosen in the list."""
     index = settings.detector_index
@@ -190,6 +184,7 @@ class CLOAK_OT_detector_add(CloakOperator, ImportHelper, label="Add Detector"):
     filter_glob: StringProperty(default=";".join(f"*{s}" for s in (*FAMILIES, ".weights")), options={"HIDDEN"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
         names = [entry.name for entry in self.files if entry.name]
@@ -205,6 +200,7 @@ class CLOAK_OT_detector_add_named(CloakOperator, label="Add by Name"):
     """Add a detector that has no file: the built-in one, or another that the command line names"""
 
     spec: props.text("Name", "As the command line names it", BUILTIN)
+    bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
         settings = context.scene.cloak
@@ -216,6 +212,8 @@ class CLOAK_OT_detector_add_named(CloakOperator, label="Add by Name"):
 
 class CLOAK_OT_detector_remove(CloakOperator, label="Remove Detector"):
     """Take the chosen detector out of the list; an empty list is the built-in detector"""
+
+    bl_options = WITH_UNDO
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -229,7 +227,7 @@ class CLOAK_OT_detector_remove(CloakOperator, label="Remove Detector"):
         return f"{title} is not used any more"
 
 
-class CLOAK_OT_detector_check(CloakOperator, label="Check", needs=CLOAK_OT_detector_remove.needs):
+class CLOAK_OT_detector_check(CloakOperator, label="Check", needs=CLOAK_OT_detector_remove.needs, trains=True):
     """Let the trainer load the chosen detector, compare it with its own runtime and say what it reports from"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -242,7 +240,7 @@ def check(detector: CloakDetector) -> str:
     spec, folder = detector.bare, user_folder("detectors")
     detector.checked, detector.answer, detector.works = spec, "", False
     # One render is enough to know whether, and from which score on, it works.
-    command = cloak_command(chosen_python(), "detectors", "verify", spec, "--renders", 1)
+    command = cloak_command(trainer(), "detectors", "verify", spec, "--renders", 1)
     return waits(launch(Job(CHECK, [command], folder, "check", lambda job: _told(job, spec))))
 
 
@@ -260,11 +258,16 @@ def _told(job: Job, spec: str) -> str | None:
         job.state = "done"
     job.is_bad_news = not works
     found = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
+    if job.state == "stopped":  # nothing is known: it can be checked again
+        for detector in found:
+            detector.checked = ""
+        return None
     for detector in found:
         detector.answer, detector.works = answer, works
         detector.gradients = not works or record.get("white_box") is not False
         if works and isinstance(point, (int, float)) and not detector.threshold:
             detector.threshold = float(point)
+    push_undo("Check Detector")
     return f"{found[0].title} {answer}" if found else None
 
 

@@ -15,7 +15,7 @@ from ..properties import output_folder, pose_choice, train_options
 from ..session import session
 from ..trainer.command_lines import differing_options, train_command
 from ..trainer.jobs import Job, TrainingJob, busy, launch, waits
-from ..trainer.preferences import chosen_python
+from ..trainer.preferences import trainer
 from ..ui import props
 from ..ui.operator import CloakOperator
 from . import run_list, runs
@@ -77,14 +77,14 @@ def _ended_reason(state: RunState) -> str:
     return f"{state.path}.input, which the add-on keeps for Resume, is not there: press Start, or Extend"
 
 
-class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason):
+class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason, trains=True):
     """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
 
     def run(self, context: bpy.types.Context) -> str:
         return start(context)
 
 
-class CLOAK_OT_train_extend(CloakOperator, label="Extend", needs=partial(run_reason, action="extended")):
+class CLOAK_OT_train_extend(CloakOperator, label="Extend", needs=partial(run_reason, action="extended"), trains=True):
     """Train on from the colours of the chosen run, with the settings above, in a new run: for more steps, another \
 detector or other angles. The run itself stays as it is"""
 
@@ -96,7 +96,7 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     """Export and train in a new run; from the colours of another run where one is given."""
     obj, settings = active_body(context), context.scene.cloak
     logo = begun.logo if begun and begun.logo in logo_names(obj.data) else active_logo(obj)
-    options, python = train_options(settings), chosen_python()
+    options, program = train_options(settings), trainer()
     options += [f"--init={begun.path}"] if begun else []
     if obj.mode == "EDIT":
         bpy.ops.object.mode_set(mode="OBJECT")
@@ -108,7 +108,7 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     made_from, _, faces = obj.cloak.made_from.partition("|")
     options += [f"--made-from={made_from}"] if made_from and faces == read_face_list(done.face_list).topology else []
     runs.remember_options(run, options)
-    command = train_command(python, options, done.scene, done.face_list, run)
+    command = train_command(program, options, done.scene, done.face_list, run)
     follow(obj, TrainingJob(command, run, done.folder))
     begins = f", from the colours of {begun.title}" if begun else ""
     return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}{begins}{waits(session.jobs[-1])}"
@@ -127,14 +127,14 @@ class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=lambda _: "" if
         return f"Stopping: {job.label}"
 
 
-class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=partial(run_reason, action="resumed")):
+class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=partial(run_reason, action="resumed"), trains=True):
     """Go on with the chosen run from its last checkpoint to its last step, with what it was started with"""
 
     def run(self, context: bpy.types.Context) -> str:
         obj, state = active_body(context), selected_run(context)
         done = read_export(runs.input_folder(state.path))
         kept = kept_reason(context)
-        command = train_command(chosen_python(), list(state.options), done.scene, done.face_list, state.path)
+        command = train_command(trainer(), list(state.options), done.scene, done.face_list, state.path)
         follow(obj, TrainingJob([*command, "--resume"], state.path, done.folder))
         return kept or f"Resuming {state.path}"
 

@@ -37,7 +37,7 @@ class CLOAK_UL_detectors(bpy.types.UIList):
         split.label(text=f"{item.threshold:.2f}" if item.threshold else "")
 
 
-class CLOAK_PT_train(CloakPanel, label="4. Train"):
+class CLOAK_PT_train(CloakPanel, label="4. Train", trains=True):
     """Step 4: train the logo's colours against a detector"""
 
     def draw(self, context: bpy.types.Context) -> None:

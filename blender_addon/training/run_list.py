@@ -6,6 +6,7 @@ second while the panel is being looked at.
 """
 
 import contextlib
+import logging
 import time
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from ..ui.window import redraw
 from .run_states import RunState, find_runs, read_state
 from .runs import import_colors, input_folder, run_of
 
+LOG = logging.getLogger(__name__)
 REFRESH_SECONDS = 2.0
 WATCHED_SECONDS = 5.0  # the list is refreshed for this long after it was last drawn
 
@@ -99,9 +101,12 @@ class CloakWindow(bpy.types.PropertyGroup):
 
 
 def _watch() -> float:
-    """The timer's function."""
-    if time.monotonic() - session.runs_drawn < WATCHED_SECONDS and refresh(bpy.context):
-        redraw(panels_alone=True)
+    """The timer's function; it goes on whatever a folder holds."""
+    try:
+        if time.monotonic() - session.runs_drawn < WATCHED_SECONDS and refresh(bpy.context):
+            redraw(panels_alone=True)
+    except Exception:
+        LOG.exception("The list of runs")
     return REFRESH_SECONDS
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.blend_paths import absolute, blend_folder, first_free, portable
+from ..blender.marks import COLORS
 from ..blender.mesh_arrays import require_object_mode, topology
 from ..body.garments import write_worn
 from ..body.objects import object_of, refusal, require_body
@@ -139,7 +140,7 @@ def require_same_topology(obj: bpy.types.Object, expected: str) -> None:
 def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) -> int:
     """Bring a run's colours onto the object as colour attribute and material, all or nothing; returns how many."""
     require_body(obj)
-    require_object_mode(obj, "Leave Edit Mode (Tab) to see the colours on the model")
+    require_object_mode(obj, "Leave {mode} to see the colours on the model")
     count = len(trained_faces(run)[0])
     if not (run / "colors.npy").exists():
         raise InputError(f"{run}: no colours yet; wait for the first step")
@@ -211,6 +212,8 @@ class LiveColors:
     def finish(self, job: Job) -> str | None:
         """At the end of the job: import the last colours. Returns why they were not; None where they were, or none."""
         if not (self._run / "colors.npy").exists():
+            if job.state == "done":
+                raise InputError(f"The trainer ended and left no colours in {self._run.name}; see {job.log}")
             return None
         self._looked = -1
         obj = self.body()
@@ -219,8 +222,7 @@ class LiveColors:
                 raise InputError("the object is gone; open its file and press Load Colours")
             if run_of(obj) != self._run:
                 raise InputError(f"'{obj.name}' wears another run; choose {self._run.name} in the list")
-            if obj.mode == "EDIT":
-                raise InputError("leave Edit Mode (Tab) and press Load Colours")
+            require_object_mode(obj, "Leave {mode} and press Load Colours")
             import_colors(bpy.context, obj, self._run)
             push_undo("Cloak Colours")
         except InputError as error:
@@ -233,7 +235,7 @@ class LiveColors:
         What undo took off the object comes back. Raises `InputError` when the object changed since export.
         """
         obj, path = object_of(self._uid), self._run / "colors.npy"
-        if obj is None or obj.mode == "EDIT" or not path.exists():
+        if obj is None or obj.mode != "OBJECT" or not path.exists():
             return False
         stamp = path.stat().st_mtime_ns
         naked = not self._seen or colors.lost_its_cloak(obj)
@@ -248,8 +250,8 @@ class LiveColors:
         require_same_topology(obj, self._topology)
         write_worn(self._garments, self._all, values, dress)
         self._base[self._ids] = values[self._mine]
-        colors.write_face_colors(obj, colors.CLOAK, self._base)
+        colors.write_face_colors(obj, COLORS, self._base)
         if dress:
             colors.dress(obj, self._ids)
-            colors.show_attribute(context, obj, colors.CLOAK)
+            colors.show_attribute(obj, COLORS)
         obj.cloak.worn = str(self._run)

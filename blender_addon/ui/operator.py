@@ -7,6 +7,8 @@ import bpy
 
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
+from ..session import session
+from ..trainer.preferences import trainer_reason
 from ..translations import said
 from .window import progress_cursor
 
@@ -26,13 +28,18 @@ class CloakOperator(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        reason = cls.needs(context)
+        reason = (cls.trains and trainer_reason()) or cls.needs(context)
         if reason:
             cls.poll_message_set(said(reason))
         return not reason
 
-    def __init_subclass__(cls, label: str = "", needs: Callable[[bpy.types.Context], str] | None = None) -> None:
+    trains = False  # whether it needs the trainer
+
+    def __init_subclass__(
+        cls, label: str = "", needs: Callable[[bpy.types.Context], str] | None = None, trains: bool = False
+    ) -> None:
         cls.bl_idname, cls.bl_label = "cloak." + cls.__name__.removeprefix("CLOAK_OT_"), label
+        cls.trains = trains
         if needs is not None:
             cls.needs = staticmethod(needs)
 
@@ -41,6 +48,7 @@ class CloakOperator(bpy.types.Operator):
 
     def attempt(self, work: Callable[..., str | set[str]], *arguments: object) -> set[str]:
         """Do the work and report its message. Returns Blender's result set, or the one that the work returns."""
+        session.note_change(geometry=False)  # whatever a script did since the last redraw
         try:
             message = work(*arguments)
         except InputError as error:

@@ -8,6 +8,7 @@ import bpy
 from ..body.objects import NO_BODY, body_reason
 from ..session import session
 from ..trainer import jobs
+from ..trainer.preferences import trainer_reason
 from ..translations import said
 
 FIGURES = (
@@ -49,16 +50,23 @@ class CloakPanel(bpy.types.Panel):
     bl_region_type = "UI"
     bl_category = "Cloak"
 
-    def __init_subclass__(cls, label: str, inside: str = "", closed: bool = False, unfinished: object = None) -> None:
+    def __init_subclass__(
+        cls, label: str, inside: str = "", closed: bool = False, unfinished: object = None, trains: bool = False
+    ) -> None:
         """inside: the panel that it is part of; it is closed at first, as with `closed`.
 
+        trains: without a trainer there is nothing in it, and it is not shown.
         unfinished(context): why the next steps cannot have what they need of this one; "" gives its header a tick.
         """
-        cls.bl_label, cls.unfinished = label, staticmethod(unfinished)
+        cls.bl_label, cls.unfinished, cls.trains = label, staticmethod(unfinished), trains
         if inside:
             cls.bl_parent_id = f"CLOAK_PT_{inside}"
         if inside or closed:
             cls.bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not (cls.trains and trainer_reason())
 
     def draw_header(self, context: bpy.types.Context) -> None:
         if self.unfinished and not self.unfinished(context):

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "blender"
 def install(package: str, python: str = "", empty: bool = True) -> None:
     """Install and enable the extension, known as `cloak` afterwards; the file without its cube, unless not `empty`."""
     bpy.ops.extensions.package_install_files(filepath=package, repo="user_default", enable_on_install=True)
-    bpy.context.preferences.addons[MODULE].preferences.python = python
+    bpy.context.preferences.addons[MODULE].preferences.program = python
     bpy.context.preferences.view.show_splash = False
     for name in [name for name in sys.modules if name.split(".")[:3] == MODULE.split(".")]:
         sys.modules[name.replace(MODULE, "cloak", 1)] = sys.modules[name]

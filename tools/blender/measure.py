@@ -111,7 +111,7 @@ def measure_colors(obj: bpy.types.Object, ids: np.ndarray, run: Path) -> dict:
     imports = [timed_with_new_colors(lambda: runs.import_colors(bpy.context, obj, run)) for _ in range(REPEATS)]
     figures = {"import_colors": summary(imports)}
     colors.undress(obj)
-    obj.data.attributes.remove(obj.data.attributes["Cloak"])
+    obj.data.attributes.remove(obj.data.attributes["cloak.colors"])
     live = runs.LiveColors(obj, run)
 
     def update(show) -> tuple[float, float]:

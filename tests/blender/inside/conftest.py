@@ -84,9 +84,9 @@ def stub(tmp_path: Path) -> Path:
     from cloak.trainer.preferences import preferences
 
     launcher = make_launcher(tmp_path / "Bücher & Straße 素材", [STUB])
-    preferences().python = str(launcher)
+    preferences().program = str(launcher)
     yield launcher
-    preferences().python = ""
+    preferences().program = ""
 
 
 @pytest.fixture(scope="session")
@@ -146,7 +146,7 @@ def elsewhere(folder: Path, *lines: str) -> subprocess.CompletedProcess:
     from cloak.trainer.preferences import preferences
 
     script = folder / "elsewhere.py"
-    python = f"bpy.context.preferences.addons[{MODULE!r}].preferences.python = {preferences().python!r}"
+    python = f"bpy.context.preferences.addons[{MODULE!r}].preferences.program = {preferences().program!r}"
     first = ("import bpy, os, time", f"bpy.ops.preferences.addon_enable(module={MODULE!r})", python)
     imports = (f"from {MODULE}.trainer import jobs", f"from {MODULE}.session import session")
     script.write_text("\n".join((*first, *imports, *lines)))
@@ -165,7 +165,7 @@ def red_faces(obj: bpy.types.Object) -> list[int]:
     """The faces in the stub's trained colour."""
     from cloak.blender import colors
 
-    return np.flatnonzero((np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1e-5).all(1)).tolist()
+    return np.flatnonzero((np.abs(colors.written_colors(obj) - [1, 0, 0]) < 1e-5).all(1)).tolist()
 
 
 @pytest.fixture

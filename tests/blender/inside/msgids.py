@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bpy
 import cloak
+from cloak.body import panel as body_panel
 from cloak.logo import paint
 from cloak.result import evaluations, eye, panel
 from cloak.training import detectors
@@ -20,6 +21,8 @@ TABLES = (
 """What panels go through."""
 BLENDERS = {"filepath", "check_existing"}
 """Properties that Blender's own base classes bring, with its own translations."""
+MODES = ("require_object_mode", "mode_reason")
+"""Functions that are told a sentence with a {mode}."""
 WORDS = {"text", "heading", "confirm_text"}
 
 
@@ -91,16 +94,16 @@ def _texts(node: ast.AST) -> Iterator[str]:
 
 def sentences() -> list[str]:
     """What `InputError` is told and what panels say, with {} for whatever it is about."""
-    found = dict.fromkeys(word for table in TABLES for word in table)
+    found = dict.fromkeys(word for table in TABLES for word in table) | {body_panel.UNSEEN: None}
     for path in sorted(ROOM.rglob("*.py")):
         rooms = path.relative_to(ROOM).parts
-        if rooms[0] in ("files", "exchange") or path.name in ("train.py", "remote.py"):
+        if rooms[0] in ("files", "exchange") or path.name == "headless.py":
             continue
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("InputError", "said"):
                 found |= {_pattern(node.args[0]): None}
-            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "require_object_mode":
-                found |= {_pattern(node.args[1]): None}
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in MODES:
+                found |= {_pattern(node.args[1]).replace("{mode}", "{}"): None}
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("wrapped", "figure"):
                 found |= {_pattern(word): None for word in node.args[1:3]}
             elif isinstance(node, ast.keyword) and node.arg == "lacks":

@@ -11,7 +11,7 @@ from made import make_egg
 def dressed_egg() -> tuple[bpy.types.Object, np.ndarray]:
     obj = make_egg(12)
     trained = np.random.default_rng(0).random((len(obj.data.polygons), 3)).astype(np.float32)
-    colors.write_face_colors(obj, colors.CLOAK, trained)
+    colors.write_face_colors(obj, "colors", trained)
     return obj, trained
 
 
@@ -58,9 +58,9 @@ def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
     obj, trained = dressed_egg()
     bpy.ops.cloak.bake(size=256)
     pixels = np.array(bpy.data.images["Body cloak"].pixels[:], np.float32).reshape(256, 256, 4)
-    assert [layer.name for layer in obj.data.uv_layers] == [bake.OWN_MAP]
-    assert bake.faces_off(obj.data, bake.OWN_MAP, pixels, trained) == 0
-    corners = np.array([uv.vector for uv in obj.data.uv_layers[bake.OWN_MAP].uv])
+    assert [layer.name for layer in obj.data.uv_layers] == ["cloak.uv"]
+    assert bake.faces_off(obj.data, "cloak.uv", pixels, trained) == 0
+    corners = np.array([uv.vector for uv in obj.data.uv_layers["cloak.uv"].uv])
     x, y = (corners * 256).astype(int).T
     own = np.repeat(trained, [len(p.vertices) for p in obj.data.polygons], axis=0)
     assert np.abs(pixels[y, x, :3] - own).max() < 1.01 / 255, "up to its corners"
@@ -70,10 +70,10 @@ def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
     for uv in layer.uv:
         uv.vector = uv.vector * 0.01
     done = bake.bake(other, 256)
-    assert (done.uv_map, done.off) == (bake.OWN_MAP, 0) and done.off_before > 200
+    assert (done.uv_map, done.off) == ("cloak.uv", 0) and done.off_before > 200
     assert other.data.uv_layers.active.name == "UV", "the user's map stays the active one"
     nodes = bake.baked_material(done.image, done.uv_map).node_tree.nodes
-    assert [node.uv_map for node in nodes if node.bl_idname == "ShaderNodeUVMap"] == [bake.OWN_MAP]
+    assert [node.uv_map for node in nodes if node.bl_idname == "ShaderNodeUVMap"] == ["cloak.uv"]
 
 
 def test_what_is_missing_is_said():

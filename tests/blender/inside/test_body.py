@@ -140,7 +140,7 @@ def test_everything_on_the_mesh_carries_over(mode, triangulate):
     if mode == "EDIT":
         set_mode("OBJECT")
     mesh = obj.data
-    parent = read(mesh.attributes[body.ORIGINAL_FACE].data, "value", dtype=np.int32)
+    parent = read(mesh.attributes["cloak.original_face"].data, "value", dtype=np.int32)
     assert np.array_equal(read(mesh.polygons, "material_index", dtype=np.int32), slots[parent])
     assert np.array_equal(read(mesh.polygons, "hide", dtype=bool), hidden[parent])
     assert np.array_equal(faces.read_faces(obj, "chest"), logo[parent])
@@ -150,7 +150,7 @@ def test_everything_on_the_mesh_carries_over(mode, triangulate):
     assert np.allclose(lifted, 0.5, atol=1e-6)
     weights = [sum(g.weight for g in v.groups) for v in mesh.vertices]
     assert np.allclose(weights, 0.75, atol=1e-6)
-    assert "cloak_hidden" not in mesh.attributes
+    assert "cloak.hidden" not in mesh.attributes
     # Subdivision is simple: a face's pieces together have its area. The n-gons here are folded, so about.
     pieces = np.bincount(parent, read(mesh.polygons, "area"), count)
     assert np.allclose(pieces[corners <= 4], areas[corners <= 4], rtol=1e-4)
@@ -160,7 +160,7 @@ def test_everything_on_the_mesh_carries_over(mode, triangulate):
 def test_the_operator_says_what_happened():
     obj = make_egg(6)
     assert bpy.ops.cloak.subdivide(triangulate=False) == {"FINISHED"}
-    assert body.ORIGINAL_FACE in obj.data.attributes
+    assert "cloak.original_face" in obj.data.attributes
 
 
 # --- bodies from scenes ----------------------------------------------------------------------------------------------

@@ -104,8 +104,8 @@ def test_colours_reach_exactly_the_logos_faces(tmp_path):
     obj, _ = dressed_body(tmp_path)
     own = colors.own_face_colors(obj)
     bpy.ops.cloak.result_load()
-    shown = colors.read_face_colors(obj, "Cloak")
-    attribute = obj.data.color_attributes["Cloak"]
+    shown = colors.written_colors(obj)
+    attribute = obj.data.color_attributes["cloak.colors"]
     assert (attribute.domain, attribute.data_type) == ("CORNER", "FLOAT_COLOR")
     assert obj.data.color_attributes.active_color == attribute
     assert np.allclose(shown[[3, 4, 50]], [1, 0, 0], atol=1e-6)
@@ -147,7 +147,7 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
         RuntimeError, match=r"changed since export: its faces are .*undo the change, or export and train"
     ):
         bpy.ops.cloak.result_load()
-    assert "Cloak" not in obj.data.color_attributes and not colors.is_dressed(obj)
+    assert "cloak.colors" not in obj.data.color_attributes and not colors.is_dressed(obj)
     np.save(run / "colors.npy", np.float32([[2, 0, 0]]))
     with pytest.raises(InputError, match=r"colors\.npy"):
         runs.import_colors(bpy.context, obj, run)
@@ -171,7 +171,7 @@ def test_the_cloak_is_saved_with_the_file(tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     obj = bpy.data.objects["Body"]
-    assert np.allclose(colors.read_face_colors(obj, "Cloak")[[3, 4, 50]], [1, 0, 0], atol=1e-6)
+    assert np.allclose(colors.written_colors(obj)[[3, 4, 50]], [1, 0, 0], atol=1e-6)
     assert colors.is_dressed(obj) and obj.cloak.run == f"//{run.name}"
 
 
@@ -181,7 +181,7 @@ def test_ngons_take_their_colour_on_every_corner(tmp_path):
     big = [p.index for p in obj.data.polygons if len(p.vertices) > 4]
     values = np.random.default_rng(0).random((len(big), 3)).astype(np.float32)
     runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, big, values))
-    data = obj.data.color_attributes["Cloak"].data
+    data = obj.data.color_attributes["cloak.colors"].data
     for polygon, value in zip((obj.data.polygons[i] for i in big), values, strict=True):
         for loop in polygon.loop_indices:
             assert np.allclose(data[loop].color[:3], colors.srgb_to_linear(value), atol=1e-6)
@@ -200,7 +200,7 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
     assert not live.update(bpy.context)
     set_mode("OBJECT")
     assert live.update(bpy.context)
-    assert np.allclose(colors.read_face_colors(obj, "Cloak")[[3, 4, 50]], [0, 1, 0], atol=1e-6)
+    assert np.allclose(colors.written_colors(obj)[[3, 4, 50]], [0, 1, 0], atol=1e-6)
     faces.new_logo(obj, "more", np.arange(len(obj.data.polygons)) < 2)  # a logo more is no change of the mesh
     os.utime(run / "colors.npy", ns=(2, 2))
     assert live.update(bpy.context)
@@ -210,3 +210,14 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
         live.update(bpy.context)
     bpy.data.objects.remove(obj)
     assert not live.update(bpy.context)
+
+
+def test_a_studio_light_is_told_where_it_is_on():
+    from types import SimpleNamespace
+
+    space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID", light="STUDIO"))
+    assert "Studio light" in colors.light_reason(space)
+    space.shading.light = "FLAT"
+    assert colors.light_reason(space) == colors.light_reason(None) == ""
+    space.shading.type, space.shading.light = "MATERIAL", "STUDIO"
+    assert colors.light_reason(space) == ""

@@ -237,15 +237,15 @@ def test_the_heatmap_can_be_hidden_and_shown_again(stub):
         bpy.ops.cloak.heatmap_toggle()
     bpy.ops.cloak.heatmap()
     run_job()
-    heat = colors.read_face_colors(obj, "Cloak Heatmap")
+    heat = colors.written_colors(obj, "heatmap")
     bpy.ops.cloak.heatmap_toggle()  # a body without colours of its own
-    assert not colors.shows_heat(obj) and "cloak_heat" in obj.data.attributes
+    assert not colors.shows(obj, "heatmap") and "cloak.heat" in obj.data.attributes
     bpy.ops.cloak.heatmap_toggle()
-    assert colors.shows_heat(obj) and np.allclose(colors.read_face_colors(obj, "Cloak Heatmap"), heat, atol=1e-6)
-    colors.write_face_colors(obj, "Cloak", heat[:, ::-1])
+    assert colors.shows(obj, "heatmap") and np.allclose(colors.written_colors(obj, "heatmap"), heat, atol=1e-6)
+    colors.write_face_colors(obj, "colors", heat[:, ::-1])
     colors.dress(obj, np.array([3]))
     bpy.ops.cloak.heatmap_toggle()
-    assert obj.data.color_attributes.active_color_name == "Cloak"  # its cloak, where it wears one
+    assert obj.data.color_attributes.active_color_name == "cloak.colors"  # its cloak, where it wears one
 
 
 def test_the_outline_runs_around_the_logo_and_not_through_it():
@@ -271,7 +271,7 @@ def test_heatmap_and_the_logo_taken_from_it(stub):
     bpy.ops.cloak.heatmap()
     job = run_job()
     assert job.state == "done", job.message
-    assert "Cloak Heatmap" in obj.data.color_attributes
+    assert "cloak.heatmap" in obj.data.color_attributes
     assert not job.log.parent.exists()  # nothing is left of the measurement but the map
     bpy.context.scene.cloak.heat_share = 0.1
     bpy.ops.cloak.logo_from_heat()

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak import train as script
+from cloak import headless as script
 from cloak.blender import colors, faces
 from cloak.blender.evaluated import read_surface
 from cloak.blender.mesh_arrays import topology
@@ -37,7 +37,7 @@ def save_body(folder: Path, ids, name: str = "chest") -> Path:
 
 
 def reds(obj) -> np.ndarray:
-    return (np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1 / 255).all(1)
+    return (np.abs(colors.written_colors(obj) - [1, 0, 0]) < 1 / 255).all(1)
 
 
 def test_from_blend_to_blend(tmp_path, stub):
@@ -59,7 +59,7 @@ def test_from_blend_to_blend(tmp_path, stub):
 
 def refused(arguments: tuple, python: object, capfd: pytest.CaptureFixture) -> list[str]:
     """What `train.py` says on standard error where it ends with code 2, in this process: starting one takes seconds."""
-    code = script.run_as_script([*map(str, arguments), "--python", str(python)])
+    code = script.run([*map(str, arguments), "--python", str(python)])
     stderr = capfd.readouterr().err
     assert code == 2 and "Traceback" not in stderr, (arguments, stderr)
     return [line for line in stderr.splitlines() if line.startswith("cloak: ")]
@@ -68,6 +68,7 @@ def refused(arguments: tuple, python: object, capfd: pytest.CaptureFixture) -> l
 def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch, capfd):
     blend = save_body(tmp_path, [4, 5, 6])
     monkeypatch.chdir(tmp_path)
+    Path("junk.blend").write_bytes(b"no blend at all")
     some = ("--blend", blend, "--out", "RUN")
     for words, message in (
         ((*some,), "required: --logo"),
@@ -75,6 +76,10 @@ def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch, capfd):
         ((*some, "--logo", "hat"), "'Body' has no logo 'hat' (it has: chest)"),
         ((*some, "--logo", "chest", "--object", "Ghost"), "--object Ghost: no such object in the scene (meshes: Body)"),
         ((*some, "--logo", "chest", "--frames", "one"), "--frames one: A:B:STEP"),
+        ((*some, "--logo", "chest", "--subdivide", "-1"), "--subdivide -1: 0 levels or more"),
+        ((*some, "--logo", "chest", "--resume"), "--out RUN: no run to resume there"),
+        ((*some, "--logo", "chest", "--save", "."), "--save"),
+        (("--blend", "junk.blend", "--out", "RUN", "--logo", "chest"), "--blend junk.blend: not a file that Blender"),
         ((*some, "--logo", "chest", "--save", "no/where.blend"), "where.blend: the folder"),
         (("--blend", "none.blend", "--out", "RUN", "--logo", "chest"), "--blend none.blend: no such file"),
         ((*some, "--logo", "missing.npy"), "missing.npy: no such file"),
@@ -88,6 +93,18 @@ def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch, capfd):
     monkeypatch.setenv("CLOAK_STUB", "crash")
     done = train(tmp_path, *some, "--logo", "chest", python=stub)  # the failed start before is not in its way
     assert done.returncode == 1 and "a defect" in done.stderr
+
+
+def test_a_trainer_that_does_nothing_and_a_closed_output_have_their_codes(tmp_path, stub):
+    blend = save_body(tmp_path, [4, 5, 6])
+    idle = tmp_path / "idle"
+    idle.write_text("#!/bin/sh\nexit 0\n")
+    idle.chmod(0o755)
+    done = train(tmp_path, "--blend", blend, "--logo", "chest", "--out", "A", python=idle)
+    assert done.returncode == 1 and "the trainer ended and left no colours in" in done.stderr
+    command = blender_command(SCRIPT, "--blend", blend, "--logo", "chest", "--out", "B", "--python", stub)
+    closed = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], cwd=tmp_path, timeout=300, check=False)
+    assert closed.returncode in (0, 1)
 
 
 @pytest.mark.parametrize("out", ["/proc/nowhere/RUN", "file.txt/RUN", "/proc/RUN"])
@@ -171,7 +188,6 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     from cloak.files.reading import read_npy
     from cloak.poses.export import export_bodies
     from cloak.poses.poses import PoseChoice
-    from cloak.trainer import python as trainer_python
     from cloak.trainer.command_lines import cloak_command, options, sample_words
     from cloak.trainer.jobs import Job
 
@@ -182,7 +198,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
         assert job.state == "done", job.message
         return job.outputs[0]
 
-    facts = trainer_python.parse_about(python, True, answer("Test", trainer_python.about_command(python)), "")
+    facts = json.loads(answer("Test", cloak_command(python, "setup")))
     assert facts["torch"][0].isdigit() and facts["device"]
     answer("Sample", cloak_command(python, *sample_words(tmp_path / "sample")))
     obj = samples.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
@@ -191,7 +207,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     given = options([f"python:{RED}:load"], backgrounds="procedural:train:2", angles="0:0:1")
     words = [*heatmap_words(given, tmp_path), "--events", tmp_path / "e"]
     answer("Heatmap", cloak_command(python, *words, "--pick", "0.1"))
-    show_heat(bpy.context, obj, read_npy(tmp_path / "heat.npy"))
+    show_heat(obj, read_npy(tmp_path / "heat.npy"))
     bpy.context.scene.cloak.heat_share = 0.1
     bpy.ops.cloak.logo_from_heat()
     picked = np.flatnonzero(faces.read_faces(obj, "Heat"))

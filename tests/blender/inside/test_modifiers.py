@@ -151,7 +151,7 @@ def test_trained_colours_are_seen_where_they_were_trained(add, tmp_path):
         mesh = obj.evaluated_get(graph).to_mesh()
         own = carried_faces(obj, mesh)
         shown = np.empty(4 * len(mesh.loops), np.float32)
-        mesh.color_attributes["Cloak"].data.foreach_get("color", shown)
+        mesh.color_attributes["cloak.colors"].data.foreach_get("color", shown)
         counts = np.array([p.loop_total for p in mesh.polygons])
     face_of_corner = np.repeat(own, counts)
     place = np.searchsorted(ids, face_of_corner)

@@ -21,7 +21,7 @@ def test_a_logo_of_a_material_counts_what_the_cloak_covers(mode):
     for name in ("skin", "shirt"):
         obj.data.materials.append(bpy.data.materials.new(name))
     obj.data.polygons.foreach_set("material_index", shirt.astype(np.int32))
-    colors.write_face_colors(obj, colors.CLOAK, np.zeros((len(shirt), 3)))
+    colors.write_face_colors(obj, "colors", np.zeros((len(shirt), 3)))
     colors.dress(obj, np.flatnonzero(shirt)[:20])
     set_mode(mode)
     bpy.ops.cloak.logo_from_material(slot="1")

@@ -22,9 +22,9 @@ BLACK = (FILES / "original/person-detection-retail-0013.xml", FILES / "original/
 
 @pytest.fixture
 def trainer(real_trainer):
-    preferences().python = str(real_trainer)
+    preferences().program = str(real_trainer)
     yield
-    preferences().python = ""
+    preferences().program = ""
 
 
 def checked(*files: Path) -> list:
@@ -49,7 +49,7 @@ def test_ultralytics_works_or_says_in_one_line_what_is_missing(ready, trainer, t
     torch = checked(TORCH)[0]
     assert (torch.works and not torch.only_judges) or "pip install" in torch.answer, torch.answer
     (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['ultralytics'] = None\n")
-    preferences().python = str(make_launcher(tmp_path / "without", [tmp_path, ROOT], os.environ["CLOAK_TRAINER"]))
+    preferences().program = str(make_launcher(tmp_path / "without", [tmp_path, ROOT], os.environ["CLOAK_TRAINER"]))
     bpy.ops.cloak.detector_check()
     run_job(500)
     assert session.job.state == "failed" and not torch.works and "\n" not in torch.answer

@@ -22,7 +22,7 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
     run = made_run(tmp_path, obj, ids, np.tile(np.float32([1, 0, 0]), (len(ids), 1)))
     spec = f"python:{RED}:load"
     (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": spec}]}))
-    obj.cloak.run, preferences().python = str(run), str(real_trainer)
+    obj.cloak.run, preferences().program = str(run), str(real_trainer)
     settings = bpy.context.scene.cloak
     settings.detectors.add().file = str(RED)
     judging = settings.judging
@@ -53,4 +53,4 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
         assert all(path.is_file() for path in session.eye.seen.pictures.values())
     finally:
         eye.close_eye()
-        preferences().python = ""
+        preferences().program = ""

@@ -67,7 +67,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     assert job.state == "done", (job.message, job.log.read_text()[-2000:])
     assert obj.cloak.verdict == job.message
     assert (
-        "detected in 0 of 2 renders with the cloak (highest score 0.10, reported from 0.6), in 2 without" in job.message
+        "detected in 0 of 2 renders with the cloak (highest score 0.10, reported from 0.5), in 2 without" in job.message
     )
     folder = runs.side_folder(folder_of(obj)) / "render check 1"
     with_cloak, without = pixels_of(folder / "cloak +10.png"), pixels_of(folder / "own +10.png")
@@ -77,9 +77,15 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     assert with_cloak[middle][..., 0].mean() > 0.6 > 0.2 > with_cloak[middle][..., 1].mean()
     assert np.ptp(without[middle].mean((0, 1))[:3]) < 0.05  # grey again
     assert obj.name in bpy.data.objects and bpy.data.filepath == ""  # this Blender's file was not touched
+    assert not list(folder_of(obj).parent.rglob("*.blend")), "the copy of the file goes"
     kept = run_states.read_state(folder_of(obj)).checks[0]  # from the disk: undo and closing do not lose it
     assert kept.holds and job.message == kept.describe() and job.message.startswith("The cloak holds. Cycles")
     assert kept.images[1] == folder / "cloak +10.png" and not job.is_bad_news
+
+
+def answer(score: float, point: float = 0.5) -> str:
+    """What `cloak detectors check` says of a render."""
+    return json.dumps({"max_person": score, "operating_point": point})
 
 
 @pytest.mark.parametrize(
@@ -87,14 +93,14 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     [
         ((0.1, 0.2, 0.9, 0.8), True, "The cloak holds. Cycles: person detected in 0 of 2"),
         ((0.7, 0.8, 0.9, 0.8), False, "The cloak failed. Cycles: person detected in 2 of 2"),
-        ((0.1, 0.6, 0.9, 0.8), False, "The cloak holds in 1 of 2 renders. Cycles: person detected in 1 of 2"),
+        ((0.5, 0.6, 0.9, 0.8), False, "The cloak holds in 1 of 2 renders. Cycles: person detected in 1 of 2"),
         ((0.1, 0.1, 0.2, 0.1), False, "This says nothing: the detector does not find the body without the cloak"),
     ],
 )
 def test_a_cloak_that_failed_is_said_to_have_failed(tmp_path, scores, holds, words):
     plan = render_check.Plan("Body", tmp_path / "render check 1", (0, 5))
     plan.folder.mkdir()
-    (verdict,) = render_check.verdicts(plan, {"builtin": 0.6}, [json.dumps({"max_person": score}) for score in scores])
+    (verdict,) = render_check.verdicts(plan, ["builtin"], [answer(score) for score in scores])
     assert verdict.holds == holds and verdict.describe().startswith(words)
     assert render_check.last_verdicts(tmp_path) == (verdict,)
 
@@ -103,8 +109,8 @@ def test_each_detector_judges_by_its_own_threshold(tmp_path):
     plan = render_check.Plan("Body", tmp_path / "render check 1", (0, 5))
     plan.folder.mkdir()
     scores = (0.1, 0.3, 0.9, 0.9, 0.1, 0.3, 0.9, 0.9)
-    answers = [json.dumps({"max_person": score}) for score in scores]
-    found = render_check.verdicts(plan, {"builtin": 0.5, "onnx:/a/b.onnx@conf=0.25": 0.25}, answers)
+    answers = [answer(score, 0.5 if number < 4 else 0.25) for number, score in enumerate(scores)]
+    found = render_check.verdicts(plan, ["builtin", "onnx:/a/b.onnx@conf=0.25"], answers)
     assert [verdict.holds for verdict in found] == [True, False]
     told = render_check.describe_all(found)
     assert told.startswith("Holds against 1 of 2 detectors. Worst, onnx:b.onnx@conf=0.25: The cloak holds in 1 of 2")
@@ -120,9 +126,9 @@ def test_a_failed_cloak_gets_no_green_tick(tmp_path, stub, monkeypatch):
         [["true"]] * 3,
         tmp_path,
         "check",
-        lambda job: result._judge(job, plan, {"builtin": 0.6}, obj.session_uid),
+        lambda job: result._judge(job, plan, ("builtin",), obj.session_uid),
     )
-    said = iter(["", json.dumps({"max_person": 0.8}), json.dumps({"max_person": 0.9})])
+    said = iter(["", answer(0.8), answer(0.9)])
     monkeypatch.setattr(Job, "_said", lambda self: next(said))
     job.wait(120)
     assert job.state == "done" and job.is_bad_news and "The cloak failed" in obj.cloak.verdict
@@ -139,4 +145,4 @@ def test_answers_that_make_no_sense(tmp_path):
     plan = render_check.Plan("Body", tmp_path, (0,))
     for answers in (["", ""], ["{}", "{}"], ["[]", "3"]):
         with pytest.raises(InputError, match="not understood"):
-            render_check.verdicts(plan, {"builtin": 0.6}, answers)
+            render_check.verdicts(plan, ["builtin"], answers)

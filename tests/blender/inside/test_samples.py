@@ -118,14 +118,16 @@ def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):
     bpy.ops.cloak.result_load()
     shirt = bpy.data.objects["Shirt"]
     assert garments.is_dressed(clothed) and not colors.is_dressed(clothed)
-    assert np.allclose(colors.read_face_colors(shirt, "Cloak"), 0.75, atol=1e-5)
+    assert np.allclose(colors.written_colors(shirt), 0.75, atol=1e-5)
     assert not check_reason(bpy.context)
-    heat.show_heat(bpy.context, clothed, np.linspace(0, 1, 6))
+    heat.show_heat(clothed, np.linspace(0, 1, 6))
     bpy.ops.cloak.heatmap_toggle()
-    assert clothed.data.color_attributes.active_color_name == "Cloak", "what its clothing wears is shown again"
+    assert clothed.data.color_attributes.active_color_name == "cloak.colors", "what its clothing wears is shown again"
     bpy.ops.cloak.result_toggle()
     assert not garments.is_dressed(clothed)
-    assert shirt.data.color_attributes.active_color_name == "Outfit", "or Solid shading would still show the cloak"
+    assert shirt.data.color_attributes.active_color_name == "cloak.outfit", (
+        "or Solid shading would still show the cloak"
+    )
 
 
 def test_a_part_keeps_its_own_regions():

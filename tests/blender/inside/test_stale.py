@@ -99,7 +99,7 @@ def finished_run(obj: bpy.types.Object, color: tuple) -> Path:
 
 
 def color_of(obj: bpy.types.Object) -> list[float]:
-    return colors.read_face_colors(obj, "Cloak")[LOGO_FACES[0]].round(3).tolist()
+    return colors.written_colors(obj)[LOGO_FACES[0]].round(3).tolist()
 
 
 def test_what_is_chosen_is_worn_and_what_is_worn_is_judged(ready):

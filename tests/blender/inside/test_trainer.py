@@ -1,98 +1,109 @@
 """What the trainer is started with: a Python that has it, and settings that can work."""
 
 import re
-import time
 from pathlib import Path
 
 import bpy
+import cloak
 import pytest
 from cloak.files.errors import InputError
-from cloak.trainer import command_lines
-from cloak.trainer import python as trainer_python
-from cloak.trainer.preferences import preferences
+from cloak.trainer import command_lines, program
+from cloak.trainer import preferences as preferences_module
+from cloak.trainer.preferences import preferences, trainer_reason
 from cloak.training.operators import train_reason
 from conftest import run_job
 
-# --- its Python -------------------------------------------------------------------------------------------------------
+# --- the program ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("python", "words"), [("/nowhere/python", "cannot be run"), ("/bin/true", "no cloak_core")])
-def test_missing_or_wrong_python(ready, python, words, tmp_path):
-    if python == "/bin/true":  # runs, but is no trainer
-        python = str(tmp_path / "python")
-        Path(python).write_text("#!/bin/sh\nexit 9\n")
-        Path(python).chmod(0o755)
-    preferences().python = python
-    with pytest.raises(RuntimeError, match=words):
+def make_program(place: Path, text: str = "exit 0") -> Path:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text(f"#!/bin/sh\n{text}\n")
+    place.chmod(0o755)
+    return place
+
+
+@pytest.fixture
+def nowhere(monkeypatch, tmp_path) -> Path:
+    """A machine without a trainer; returns the user's home."""
+    for name in ("CLOAK_PROGRAM", "UV_TOOL_BIN_DIR", "PIPX_BIN_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", "/bin")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(preferences_module, "_looked", ("", 0.0, ""))
+    preferences().program = ""
+    return tmp_path / "home"
+
+
+@pytest.mark.parametrize(
+    "place",
+    [".local/bin/cloak", ".local/share/uv/tools/cloak-core/bin/cloak", ".local/pipx/venvs/cloak-core/bin/cloak"],
+)
+def test_the_program_is_found_where_installers_put_it_and_not_started(nowhere, place, tmp_path):
+    with pytest.raises(InputError, match="No trainer found"):
+        program.find_program()
+    made = make_program(nowhere / place, f"touch '{tmp_path}/started'")
+    assert program.find_program() == str(made) and trainer_reason() == ""
+    assert program.start_words(str(made)) == [str(made)] and not (tmp_path / "started").exists()
+
+
+def test_what_is_chosen_comes_first(nowhere, tmp_path, monkeypatch):
+    make_program(nowhere / ".local/bin/cloak")
+    monkeypatch.setenv("CLOAK_PROGRAM", str(make_program(tmp_path / "named")))
+    assert program.find_program() == str(tmp_path / "named")
+    made = make_program(tmp_path / "checkout/.venv/bin/cloak")
+    assert program.find_program(str(tmp_path / "checkout")) == program.find_program(str(made)) == str(made)
+    python = make_program(tmp_path / "host-python")
+    assert program.start_words(program.find_program(str(python))) == [str(python), "-m", "cloak_core"]
+    for chosen in ("/nowhere/cloak", str(tmp_path)):
+        with pytest.raises(InputError, match="cannot be run: choose another"):
+            program.find_program(chosen)
+
+
+def test_without_a_trainer_what_needs_one_is_not_there_and_the_rest_works(ready, nowhere):
+    preferences().program = ""
+    assert "uv tool install" in trainer_reason()
+    shown = {cls.__name__ for cls in cloak.CLASSES if issubclass(cls, bpy.types.Panel) and cls.poll(bpy.context)}
+    hidden = {"train", "evaluation", "eye", "wear"}
+    assert not shown & {f"CLOAK_PT_{name}" for name in hidden} and {"CLOAK_PT_logo", "CLOAK_PT_result"} <= shown
+    with pytest.raises(RuntimeError, match=r"poll\(\).*No trainer found"):
         bpy.ops.cloak.train_start()
     assert not Path(bpy.context.scene.cloak.output).exists()  # nothing half-written
-
-
-def test_no_python_anywhere(ready, monkeypatch):
-    preferences().python = ""
-    trainer_python.forget_answers()
-    monkeypatch.setattr(trainer_python, "candidates", lambda: [])
-    with pytest.raises(RuntimeError, match="choose it in the add-on's preferences"):
-        bpy.ops.cloak.train_start()
-
-
-def test_python_is_found_and_remembered(ready, stub, monkeypatch):
-    preferences().python = ""
-    trainer_python.forget_answers()
-    monkeypatch.setenv("CLOAK_PYTHON", str(stub))
-    bpy.ops.cloak.find_python()
-    assert preferences().python == str(stub)
-    bpy.ops.cloak.test_python()
-    job = run_job()
-    assert preferences().answer.startswith("Cloak 0.stub, torch 0.stub, Python 3") and "CPU" in job.message
-    preferences().python = str(stub)
+    bpy.ops.cloak.logo_stamp()
     bpy.ops.cloak.copy_install_line()
-    assert "pip install" in trainer_python.INSTALL_LINE
 
 
-def test_a_python_that_is_slow_to_answer_keeps_nobody_waiting(ready, tmp_path, monkeypatch):
-    """Not eight seconds of a frozen window: the answer comes while the user works."""
-    slow = tmp_path / "slow"
-    slow.write_text("#!/bin/sh\nsleep 1\nexit 9\n")
-    slow.chmod(0o755)
-    trainer_python.forget_answers()
-    monkeypatch.setattr(trainer_python, "candidates", lambda: [str(slow)])
-    start = time.monotonic()
-    with pytest.raises(InputError, match="Still looking for a Python with cloak_core"):
-        trainer_python.find_python("", 0.05)
-    assert trainer_python.find_python(str(slow), 0.05) == str(slow)  # the job itself will say what is wrong
-    assert time.monotonic() - start < 0.9
-    with pytest.raises(InputError, match="No Python with cloak_core found"):
-        trainer_python.find_python()
-    with pytest.raises(InputError, match="has no cloak_core"):
-        trainer_python.find_python(str(slow))
-    slow.write_text("#!/bin/sh\nexit 0\n")  # installed in the meantime
-    assert trainer_python.find_python() == trainer_python.find_python(str(slow)) == str(slow)
-    trainer_python.forget_answers()
+def test_a_wrong_program_is_said(ready, tmp_path):
+    preferences().program = "/nowhere/cloak"
+    with pytest.raises(RuntimeError, match="cannot be run"):
+        bpy.ops.cloak.train_start()
+    assert not Path(bpy.context.scene.cloak.output).exists()
+    preferences().program = str(make_program(tmp_path / "empty"))
+    bpy.ops.cloak.train_start()
+    job = run_job()
+    assert job.state == "failed" and "The trainer ended and left no colours in" in job.message
 
 
-def test_choosing_another_python_raises_nothing(stub, capfd):
-    """Blender prints what goes wrong in an update and goes on."""
-    preferences().python = "/bin/true"
-    assert "Traceback" not in "".join(capfd.readouterr())
+def test_test_says_what_the_trainer_is_or_what_is_wrong(ready, stub, monkeypatch):
+    bpy.ops.cloak.test_trainer()
+    job = run_job()
+    assert preferences().answer == job.message == "Cloak 0.stub, torch 0.stub, Python 3.11.0, CPU"
+    monkeypatch.setenv("CLOAK_STUB", "refuse")
+    bpy.ops.cloak.test_trainer()
+    assert run_job().state == "failed" and preferences().answer == "The trainer does not work: no libtorch.so"
 
 
-def test_test_says_what_is_wrong(ready, stub, monkeypatch, tmp_path):
-    bad = tmp_path / "half"
-    bad.write_text(
-        '#!/bin/sh\ncase "$2" in *find_spec*) exit 0;; esac\necho "ImportError: no libtorch.so" >&2; exit 1\n'
-    )
-    bad.chmod(0o755)
-    preferences().python = str(bad)
-    bpy.ops.cloak.test_python()
-    run_job()
-    assert "no working cloak_core: ImportError: no libtorch.so" in preferences().answer
+def test_where_no_network_is_allowed_the_trainer_is_told():
+    system = bpy.context.preferences.system
+    for allowed in (True, False):
+        system.use_online_access = allowed
+        assert ("CLOAK_OFFLINE" in program.clean_environment()) == (not bpy.app.online_access)
 
 
 def test_blenders_own_python_settings_do_not_reach_the_trainer(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
     monkeypatch.setenv("PYTHONHOME", "/blender")
-    assert not {"PYTHONPATH", "PYTHONHOME"} & set(trainer_python.clean_environment())
+    assert not {"PYTHONPATH", "PYTHONHOME"} & set(program.clean_environment())
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------

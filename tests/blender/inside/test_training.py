@@ -45,7 +45,7 @@ def test_progress_live_colours_and_cancel_then_resume(ready, monkeypatch):
     bpy.ops.cloak.train_cancel(number=1)
     assert second.state == "stopped" and job.running
     ready.cloak.run = str(job.run)
-    wait_for(lambda: job.progress.step >= 3 and "Cloak" in ready.data.color_attributes)
+    wait_for(lambda: job.progress.step >= 3 and "cloak.colors" in ready.data.color_attributes)
     assert red_faces(ready) == LOGO_FACES  # while it is still running
     assert job.running and 0 < job.fraction < 1 and "loss" in job.progress.figures() and "left" in job.describe()
     bpy.ops.cloak.train_cancel()
@@ -89,7 +89,7 @@ def test_the_trainers_last_words_reach_the_panel(ready, monkeypatch, how, words)
     job = run_job()
     assert job.state == "failed"
     assert re.search(words, job.message) and "\n" not in job.message
-    assert "Cloak" not in ready.data.color_attributes
+    assert "cloak.colors" not in ready.data.color_attributes
 
 
 def test_broken_event_lines_are_passed_over(ready, monkeypatch):
@@ -110,7 +110,7 @@ def test_object_changed_since_export(ready, monkeypatch):
     bpy.ops.cloak.train_cancel()
     job = run_job()
     assert job.state == "stopped" and "no colours imported: 'Body' changed since export" in job.message
-    assert "Cloak" not in ready.data.color_attributes
+    assert "cloak.colors" not in ready.data.color_attributes
     with pytest.raises(RuntimeError, match="changed since export"):
         bpy.ops.cloak.train_resume()
 
@@ -119,7 +119,7 @@ def test_object_deleted_or_in_edit_mode_at_the_end(ready):
     bpy.ops.cloak.train_start()
     set_mode("EDIT")
     job = run_job()
-    assert "leave Edit Mode (Tab) and press Load Colours" in job.message
+    assert "Leave Edit Mode (Tab) and press Load Colours" in job.message
     set_mode("OBJECT")
     bpy.ops.cloak.result_load()
     assert red_faces(ready) == LOGO_FACES

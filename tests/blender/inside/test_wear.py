@@ -18,6 +18,9 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     with pytest.raises(RuntimeError, match=r"no people.json in it"):
         bpy.ops.cloak.wear()
     (photographs / "people.json").write_text(json.dumps({"images": [1, 2, 3, 4], "annotations": []}))
+    with pytest.raises(RuntimeError, match=r"poll\(\).*'Body' is none of them: train on the sample body, or carry"):
+        bpy.ops.cloak.wear()
+    dressed.cloak.made_from = "sample:train|0"
     bpy.ops.cloak.wear()
     job = run_job()
     assert (job.state, job.message) == ("done", "2 people wear it")

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The trainer is a program of its own, `cloak`: where it is found, and how it is started.
+
+Looked for when it is first needed, in the places where `uv tool install`, `pipx install` and checkouts put it; nothing
+is started for that. A Python that has `cloak_core` will do as well.
+"""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
+
+import bpy
+
+from ..files.errors import InputError
+
+INSTALL_LINE = "uv tool install cloak-core"
+SCRIPTS, PROGRAM = ("Scripts", "cloak.exe") if os.name == "nt" else ("bin", "cloak")
+NO_WINDOW = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
+"""Options of subprocess that keep Windows from opening a console."""
+
+
+def known_places() -> Iterator[Path]:
+    """Where the program may be, the likeliest choice of the user first."""
+    home = Path.home()
+    if named := os.environ.get("CLOAK_PROGRAM"):
+        yield Path(named)
+    yield Path(__file__).resolve().parents[2] / ".venv" / SCRIPTS / PROGRAM  # a checkout that the add-on runs from
+    if on_path := shutil.which("cloak"):
+        yield Path(on_path)
+    for folder in (os.environ.get("UV_TOOL_BIN_DIR"), os.environ.get("PIPX_BIN_DIR"), home / ".local" / "bin"):
+        if folder:
+            yield Path(folder, PROGRAM)
+    for tools in (".local/share/uv/tools", ".local/share/pipx/venvs", ".local/pipx/venvs", "AppData/Roaming/uv/tools"):
+        yield home / tools / "cloak-core" / SCRIPTS / PROGRAM
+
+
+def find_program(chosen: str = "") -> str:
+    """The program to train with: the chosen one, or the first in the known places; `InputError` says what to do.
+
+    chosen: a program, a Python that has cloak_core, or the folder of a checkout or an environment.
+    """
+    if not chosen:
+        found = (str(place) for place in known_places() if os.access(place, os.X_OK))
+        if program := next(found, ""):
+            return program
+        raise InputError(f"No trainer found. To train, run this in a terminal: {INSTALL_LINE}")
+    path = Path(os.path.expanduser(chosen))
+    inside = (path / folder / SCRIPTS / PROGRAM for folder in (".venv", ".")) if path.is_dir() else ()
+    place = next((str(place) for place in inside if os.access(place, os.X_OK)), None) or shutil.which(str(path))
+    if place is None:
+        raise InputError(f"The trainer '{chosen}' cannot be run: choose another in the add-on's preferences")
+    return place
+
+
+def start_words(program: str) -> list[str]:
+    """What starts the program; a Python starts it as a module."""
+    return [program, "-m", "cloak_core"] if "python" in Path(program).name.lower() else [program]
+
+
+def clean_environment() -> dict[str, str]:
+    """The environment for the trainer: without what would point its Python at Blender's libraries.
+
+    PYTHONSAFEPATH: nothing that happens to lie in the current folder is imported. CLOAK_OFFLINE: Blender's user allows
+    no network, which `cloak remote` heeds.
+    """
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")}
+    environment |= {"PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1"}
+    return environment if bpy.app.online_access else environment | {"CLOAK_OFFLINE": "1"}
+
+
+def start_process(command: list[str], out: Path | int, log: Path, **options: object) -> subprocess.Popen:
+    """Start a program that works in the folder of its log, which it goes on writing. Raises `InputError`."""
+    try:
+        with log.open("ab") as errors, out.open("wb") if isinstance(out, Path) else nullcontext(out) as file:
+            streams = {"stdout": file, "stderr": errors, "cwd": log.parent, "env": clean_environment()}
+            return subprocess.Popen(command, **streams, **options, **NO_WINDOW)
+    except OSError as error:
+        raise InputError(f"{error.filename or command[0]}: cannot be started ({error.strerror})") from None

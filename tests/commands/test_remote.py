@@ -1,0 +1,163 @@
+"""`cloak remote`: the other machine is this one, behind a prefix that runs a line of shell, as ssh does.
+
+Files go through the prefix, or through a folder that both machines see at places of their own.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloak_core import cli
+from cloak_core.commands.remote import files_of, named_paths
+from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.sources.bodies.opening import load_scene
+
+STUB = Path(__file__).parents[1] / "blender" / "inside" / "stub"
+
+
+def other_machine(tmp_path: Path, shared: bool) -> list[str]:
+    """Options of `cloak remote` for a machine that starts in another folder and has a trainer of its own."""
+    home = tmp_path / "other machine"
+    home.mkdir()
+    ssh, program = tmp_path / "fake ssh", tmp_path / "stub python"
+    pipes = "exec 0</dev/null" if shared else ""  # no file comes through the command
+    ssh.write_text(f'#!/bin/sh\ncd "{home}"\n{pipes}\nexec sh -c "$2"\n')  # its last word goes to a shell there
+    program.write_text(f'#!/bin/sh\nPYTHONPATH="{STUB}" exec "{sys.executable}" "$@"\n')
+    for script in (ssh, program):
+        script.chmod(0o755)
+    if shared:
+        (home / "cloak").mkdir()
+        (tmp_path / "mount").symlink_to(home / "cloak")
+    options = [f"--machine='{ssh}' box", f"--folder={home / 'cloak'}", f"--program='{program}' -m cloak_core"]
+    return options + ([f"--shared={tmp_path / 'mount'}"] if shared else [])
+
+
+@pytest.fixture
+def machine(tmp_path) -> list[str]:
+    return other_machine(tmp_path, shared=False)
+
+
+@pytest.fixture
+def logo(tmp_path) -> Path:
+    """A face list in a folder whose name has what parts specs, beside a file that nobody named."""
+    folder = tmp_path / "run=2:final"
+    folder.mkdir()
+    write_face_list(folder / "logo.npy", np.array([1, 2, 3]), "0" * 64)
+    (folder / "secret.txt").write_text("not for others")
+    return folder / "logo.npy"
+
+
+def start(machine: list[str], *words: object, **environment: str) -> subprocess.Popen:
+    command = [sys.executable, "-m", "cloak_core", "remote", *machine, "--", *map(str, words)]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, env=os.environ | environment, **streams)
+
+
+def arrived(machine: list[str]) -> list[str]:
+    """The files over there, as they were called here."""
+    folder = Path(machine[1].partition("=")[2])
+    return sorted(path.name for path in folder.rglob("*") if path.is_file() and path.name != ".complete")
+
+
+@pytest.mark.parametrize("shared", [False, True], ids=["by the command", "by a shared folder"])
+def test_a_training_over_there_leaves_its_run_here_and_sends_only_what_was_named(shared, logo, tmp_path):
+    machine = other_machine(tmp_path, shared)
+    detector = tmp_path / "net.py"
+    (tmp_path / "real.py").write_text("def load(): ...")
+    detector.symlink_to(tmp_path / "real.py")
+    run = tmp_path / "run of mine"
+    words = ("train", "--logo", logo, f"--detector=python:{detector}:load", "--out", run, "--steps", 3, "--json")
+    process = start(machine, *words)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert json.loads(out)["out"] == str(run) and len(np.load(run / "colors.npy")) == 3
+    sent = arrived(machine)
+    assert "secret.txt" not in sent and "real.py" not in sent
+    over_there = Path(machine[1].partition("=")[2])
+    (net,) = over_there.rglob("net.py")
+    assert net.read_text() == "def load(): ...", "a link is followed"
+    assert sorted(path.name for path in over_there.glob("*/logo.npy*")) == ["logo.npy"]
+
+
+def test_a_training_is_cancelled_by_its_file(machine, logo, tmp_path):
+    run = tmp_path / "run"
+    words = ("train", "--logo", logo, "--detector", "builtin", "--out", run, "--steps", 400, "--json")
+    process = start(machine, *words, CLOAK_STUB="slow")
+    until = time.monotonic() + 100
+    while not (run / "events.jsonl").exists() and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.1)
+    (run / "cancel").touch()
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 3, err
+    assert "stopped at step" in json.loads(out)["stopped"] and not (run / "cancel").exists()
+
+
+def test_what_cannot_be_is_said_in_one_line(machine, logo, tmp_path):
+    for words, environment, code, message in (
+        (
+            ("train", "--logo", str(logo), "--out", str(tmp_path / "r")),
+            {"CLOAK_OFFLINE": "1"},
+            2,
+            "no network is allowed",
+        ),
+        (("train", "--nonsense"), {}, 2, "--nonsense"),
+        ((), {}, 2, "name a command after --"),
+    ):
+        process = start(machine, *words, **environment)
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == code and message in err and "Traceback" not in err, err
+    process = start(["--machine=false"], "zoo", "list")
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 255 and "cannot be reached" in err
+
+
+def test_a_launcher_stands_for_the_other_machine(machine, tmp_path):
+    launcher = tmp_path / "cloak-box"
+    done = subprocess.run(
+        [sys.executable, "-m", "cloak_core", "remote", *machine, "--save", launcher], capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    done = subprocess.run(
+        [launcher, "scene", "sample", "--out", tmp_path / "sample", "--json"], capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["out"] == str(tmp_path / "sample")
+    assert read_scene(tmp_path / "sample").face_count == 4
+
+
+def test_each_kind_of_option_is_known(tmp_path, logo, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.cfg", "b.weights", "bodies.npz", "people.json", "coat.png", "x.xml", "x.bin", "palette.csv"):
+        Path(name).touch()
+    Path("photos").mkdir()
+    words = ["train", "--logo", str(logo), "--detector", "darknet:a.cfg:b.weights@416", "--scene", "bodies.npz[0::2]"]
+    words += ["--people", "people.json[1::2]", "--backgrounds", "photos", "--near", "coat.png", "--out", "run"]
+    read, written = named_paths(cli.parse(*cli.find(words)))
+    assert read == {str(logo), "a.cfg", "b.weights", "bodies.npz", "people.json", "photos", "coat.png"}
+    assert written == {"run"}
+    assert sorted(files_of(Path("x.xml"))) == ["x.bin", "x.xml"]
+    assert sorted(files_of(logo)) == ["logo.json", "logo.npy"]
+
+
+def test_pictures_that_people_name_go_with_them(tmp_path):
+    (tmp_path / "a.jpg").touch()
+    record = {"images": [{"file_name": "a.jpg"}, {"file_name": "../outside.jpg"}, {"file_name": "missing.jpg"}]}
+    (tmp_path / "people.json").write_text(json.dumps(record))
+    assert sorted(files_of(tmp_path / "people.json")) == ["a.jpg", "people.json"]
+
+
+def test_a_folder_is_sent_with_what_links_lead_to(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "1.jpg").touch()
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "more").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "photos" / "gone.jpg").symlink_to(tmp_path / "nowhere")
+    assert sorted(files_of(tmp_path / "photos")) == ["photos/more/1.jpg"]
+    assert load_scene("sample").face_count > 0
