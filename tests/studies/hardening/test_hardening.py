@@ -282,6 +282,7 @@ def test_first_colours_are_colours() -> None:
 
 
 def test_the_command_names_a_folder_that_is_there(tmp_path: Path) -> None:
+    (tmp_path / "something").touch()
     with pytest.raises(InputError, match="exists already"):
         Harden(spec="builtin", out=tmp_path).run()
 
