@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class Task(Protocol):
-    """A job (`trainer.jobs.Job`)."""
+    """A job of `trainer/jobs.py`."""
 
     label: str
     running: bool

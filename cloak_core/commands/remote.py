@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import json
 import os
 import re
 import shlex
@@ -29,6 +28,7 @@ from tyro.conf import Positional
 from cloak_core.commands.base import Command, out, require_new
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
+from cloak_core.files.reading import read_json
 from cloak_core.files.specs import split_spec
 from cloak_core.files.writing import write_text
 
@@ -159,9 +159,8 @@ def pictures_of(path: Path) -> dict[str, Path]:
     if path.suffix.lower() != ".json":
         return {}
     try:
-        images = json.loads(path.read_text("utf-8"))["images"]
-        names = [str(image["file_name"]) for image in images]
-    except (OSError, ValueError, KeyError, TypeError):
+        names = [str(image["file_name"]) for image in read_json(path)["images"]]
+    except (InputError, KeyError, TypeError):  # another kind of file
         return {}
     return {
         name: path.parent / name for name in names if ".." not in Path(name).parts and (path.parent / name).is_file()

@@ -32,7 +32,7 @@ _said: set[str] = set()
 def full_spec(spec: str) -> str:
     """Complete what names a detector.
 
-    `yolov8n.onnx@320` is `onnx:yolov8n.onnx@320`, `a.cfg` is `darknet:a.cfg:a.weights`.
+    `yolov8n.onnx@320` is `onnx:yolov8n.onnx@320`, `A.cfg` is `darknet:A.cfg:A.weights`.
 
     A spec with its family stays as it is. InputError: a file whose suffix does not say all, or whose other half is not
     beside it; nothing that is known, with what may be meant.

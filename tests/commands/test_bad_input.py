@@ -148,6 +148,7 @@ def test_a_logo_that_no_view_sees(here, capsys):
 
 def test_an_existing_run_folder(here, capsys):
     Path("run").mkdir()
+    Path("run", "something").touch()
     assert "run: exists already" in refuse(TRAIN, capsys)
 
 

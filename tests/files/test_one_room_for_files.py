@@ -6,8 +6,22 @@ from pathlib import Path
 import pytest
 
 CORE = Path(__file__).parents[2] / "cloak_core"
-APART = ("files", "bench", "core/pictures.py", "sources/bodies/blender/inside.py", "jobs/ray_keeper.py")
-"""The rooms for it, what measures, a script that runs in Blender, and the system's process table."""
+APART = (
+    "files",
+    "bench",
+    "core/pictures.py",
+    "sources/bodies/blender/inside.py",
+    "jobs/ray_keeper.py",
+    "commands/remote.py",
+)
+    "files",
+    "bench",
+    "core/pictures.py",
+    "sources/bodies/blender/inside.py",
+    "jobs/ray_keeper.py",
+    "commands/remote.py",
+)
+"""The rooms for it, what measures, a script that runs in Blender, the process table, and streams to another machine."""
 OF_PATHS = {"read_bytes", "read_text", "write_bytes", "write_text"}
 OF_MODULES = {
     "np": {"load", "save", "savez", "savez_compressed", "fromfile", "memmap", "genfromtxt"},

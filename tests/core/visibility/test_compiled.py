@@ -61,7 +61,7 @@ print(float(ViewCache(sphere(600)).view(0, Camera(width=48, height=64)).map.weig
 
 @pytest.mark.parametrize(("folder", "often"), [("/somewhere", "once after installation"), (None, "at every start")])
 def test_that_loops_are_being_compiled_is_said_once(folder, often, monkeypatch, caplog) -> None:
-    monkeypatch.setattr(compiled._saying, "said", False)
+    monkeypatch.setattr(compiled._saying, "has_said", False)
 
     def compiling(module: str) -> None:
         dispatcher = SimpleNamespace(
