@@ -14,13 +14,6 @@ APART = (
     "jobs/ray_keeper.py",
     "commands/remote.py",
 )
-    "files",
-    "bench",
-    "core/pictures.py",
-    "sources/bodies/blender/inside.py",
-    "jobs/ray_keeper.py",
-    "commands/remote.py",
-)
 """The rooms for it, what measures, a script that runs in Blender, the process table, and streams to another machine."""
 OF_PATHS = {"read_bytes", "read_text", "write_bytes", "write_text"}
 OF_MODULES = {
