@@ -60,7 +60,7 @@ class Backend(Protocol):
 
     def build_view(
         self,
-        found: Fragments,
+        fragments: Fragments,
         screen: Screen,
         surface: Surface,
         normals: Float32[Tensor, "3 V"],

@@ -46,7 +46,7 @@ def _source_stamp(file: Path) -> tuple[tuple[float, int], ...]:
     """Time and size of a file with loops and of all files whose loops and numbers it may call."""
     room = Path(__file__).parent
     files = [file, *sorted(room.glob("cpu/*.py")), *(room / f"{name}.py" for name in ("compiled", "packing", "screen"))]
-    return tuple((state.st_mtime, state.st_size) for state in (one.stat() for one in files))
+    return tuple((state.st_mtime, state.st_size) for state in (source.stat() for source in files))
 
 
 def inner(function: Callable) -> Callable:
@@ -62,13 +62,13 @@ if numba is not None:
     class _Saying(event.Listener):
         """Says that loops are being compiled, before the first of a process: it takes most of a minute, in silence."""
 
-        said = False
+        has_said = False
 
         def on_start(self, event: event.Event) -> None:
             dispatcher = event.data["dispatcher"]
-            if self.said or not dispatcher.py_func.__module__.startswith("cloak_core."):
+            if self.has_said or not dispatcher.py_func.__module__.startswith("cloak_core."):
                 return
-            self.said = True
+            self.has_said = True
             kept = hasattr(dispatcher.stats, "cache_path") and dispatcher.stats.cache_path
             often = "once after installation" if kept else "at every start: no folder to keep them in can be written to"
             _log.warning("compiling the loops that draw, %s: about a minute, longer on a busy machine", often)
@@ -93,7 +93,8 @@ def use_loops(device: torch.device) -> bool:
 def torch_alone() -> Iterator[None]:
     """Within, in all threads, the CPU does what other devices do: torch's operations, no loops."""
     global _switched_off
-    before, _switched_off = _switched_off, True
+    before = _switched_off
+    _switched_off = True
     try:
         yield
     finally:

@@ -28,7 +28,8 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
         for camera, pivot in zip(cameras, pivots, strict=True)
     ]
     if not vertices.shape[2]:
-        nothing, scale = vertices.new_zeros(len(rows), 0), vertices.new_ones(len(rows), 1)
+        nothing = vertices.new_zeros(len(rows), 0)
+        scale = vertices.new_ones(len(rows), 1)
         whole = nothing.to(torch.int32)
         return Screen(width, height, (nothing,) * 3, whole, whole, nothing, None, (0, 0, 0, 0), scale, scale)
     values = torch.tensor(rows, dtype=torch.float64).T.unsqueeze(-1).to(vertices.device).unbind(0)
@@ -46,7 +47,8 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
     if front < 0 or max(map(abs, edges)) > GUARD / 2:
         inside = (view[2] >= near) & (torch.maximum(screen_x.abs(), screen_y.abs()) <= GUARD / 2)
     bounds = tuple(int(min(max(value, -GUARD), GUARD)) for value in edges)
-    inverse_depth, x, y = near / view[2].clamp(min=near), integers(screen_x), integers(screen_y)
+    inverse_depth = near / view[2].clamp(min=near)
+    x, y = integers(screen_x), integers(screen_y)
     return Screen(width, height, view, x, y, inverse_depth, inside, bounds, focal, near)
 
 

@@ -68,7 +68,8 @@ def area_fragments(screen: Screen, triangles: Int64[Tensor, "3 T"], cull: Cull, 
 
 def merge_samples(visibility: Visibility) -> Fragments:
     """Merge the visible samples of every (pixel, triangle) of one view, lit at their mean position."""
-    packed, v = visibility.packed[0], visibility
+    packed = visibility.packed[0]
+    v = visibility
     return backend(packed.device).merge_samples(packed, v.grid, v.window, v.width)
 
 

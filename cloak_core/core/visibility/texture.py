@@ -30,9 +30,11 @@ def look_up(texture: UInt8[Tensor, "h w 3"], uv: Float32[Tensor, "2 N"]) -> Floa
     left, top = x.floor(), y.floor()
     fx, fy = (x - left).unsqueeze(1), (y - top).unsqueeze(1)
     column, row = left.to(torch.int64), top.to(torch.int64)
-    texel = lambda right, down: texture.view(-1, 3).index_select(
-        0, ((row + down) % height) * width + (column + right) % width
-    )
+
+    def texel(right: int, down: int) -> Tensor:
+        place = ((row + down) % height) * width + (column + right) % width
+        return texture.view(-1, 3).index_select(0, place)
+
     upper = texel(0, 0) * (1 - fx) + texel(1, 0) * fx
     lower = texel(0, 1) * (1 - fx) + texel(1, 1) * fx
     return (upper * (1 - fy) + lower * fy) / 255

@@ -66,28 +66,31 @@ def _fill(
     to_pixels, to_coverage, to_base_color, to_crow, to_face, to_weight,
 ):  # fmt: skip
     """Move every pixel to its kind's next place; the logo's entries go to the matrix, all others are summed up."""
-    textured, filled = texture.size > 0, 0
+    textured = texture.size > 0
+    filled = 0
     to_crow[0] = 0
     for n in range(len(kind)):
         place = places[kind[n]]
         places[kind[n]] += 1
         red = green = blue = ZERO
         for entry in range(crow[n], crow[n + 1]):
-            share, at = weight[entry], position[face[entry]]
+            part = weight[entry]
+            at = position[face[entry]]
             if at >= 0:
-                to_face[filled], to_weight[filled] = at, share
+                to_face[filled], to_weight[filled] = at, part
                 filled += 1
             elif textured:
                 r, g, b = _look_up(texture, uv[0, entry], uv[1, entry])
-                red, green, blue = red + share * r, green + share * g, blue + share * b
+                red, green, blue = red + part * r, green + part * g, blue + part * b
             else:
                 f = face[entry]
-                red += share * colors[f, 0]
-                green += share * colors[f, 1]
-                blue += share * colors[f, 2]
+                red += part * colors[f, 0]
+                green += part * colors[f, 1]
+                blue += part * colors[f, 2]
         if kind[n] == 0:
             to_crow[place + 1] = filled
-        to_pixels[place], to_coverage[place] = pixels[n], coverage[n]
+        to_pixels[place] = pixels[n]
+        to_coverage[place] = coverage[n]
         to_base_color[0, place] = (red + specular[n]) * tint[0]
         to_base_color[1, place] = (green + specular[n]) * tint[1]
         to_base_color[2, place] = (blue + specular[n]) * tint[2]
@@ -105,10 +108,10 @@ def _look_up(texture, u, v):
     upper_left, upper_right = (ONE - fx) * (ONE - fy), fx * (ONE - fy)
     lower_left, lower_right = (ONE - fx) * fy, fx * fy
     red = green = blue = ZERO
-    for i, j, share in (
+    for i, j, part in (
         (top, left, upper_left), (top, right, upper_right), (bottom, left, lower_left), (bottom, right, lower_right),
     ):  # fmt: skip
-        red += np.float32(texture[i, j, 0]) * share
-        green += np.float32(texture[i, j, 1]) * share
-        blue += np.float32(texture[i, j, 2]) * share
+        red += np.float32(texture[i, j, 0]) * part
+        green += np.float32(texture[i, j, 1]) * part
+        blue += np.float32(texture[i, j, 2]) * part
     return red / WHITE, green / WHITE, blue / WHITE

@@ -31,7 +31,7 @@ def _squares(low, high, columns, lines, most):
     crow = np.zeros(low.shape[1] + 1, np.int64)
     for e in range(low.shape[1]):
         crow[e + 1] = crow[e] + _count(low[0, e], high[0, e], most) * _count(low[1, e], high[1, e], most)
-    square, share = np.empty(crow[-1], np.int64), np.empty(crow[-1], np.float32)
+    square, part = np.empty(crow[-1], np.int64), np.empty(crow[-1], np.float32)
     at = 0
     for e in range(low.shape[1]):
         across, down = _count(low[0, e], high[0, e], most), _count(low[1, e], high[1, e], most)
@@ -40,9 +40,9 @@ def _squares(low, high, columns, lines, most):
             first = line % lines * columns
             for x in range(across):
                 column, width = _along(low[0, e], high[0, e], across, x, most)
-                square[at], share[at] = first + column % columns, width * height
+                square[at], part[at] = first + column % columns, width * height
                 at += 1
-    return crow, square, share
+    return crow, square, part
 
 
 @loop

@@ -25,7 +25,8 @@ def hash_corners(x, y):
     hashes = np.empty((2, len(x)), np.int64)
     for i in range(len(x)):
         key = _START ^ (np.int64(y[i]) << 32) ^ x[i]
-        hashes[0, i], hashes[1, i] = _first(key), _second(key)
+        hashes[0, i] = _first(key)
+        hashes[1, i] = _second(key)
     return hashes
 
 

@@ -69,7 +69,8 @@ def fill_front(front, mesh, candidates, x0, x1, y0, y1):
 @inner
 def _span(mesh, a, b, c, level):
     """Find a triangle's extent at a level of y (grid units), from .. to in pixels; inf .. -inf where there is none."""
-    x, y, low, high = mesh.x, mesh.y, np.inf, -np.inf
+    x, y = mesh.x, mesh.y
+    low, high = np.inf, -np.inf
     for k in range(3):
         p, q = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
         if (min(y[p], y[q]) <= level) & (max(y[p], y[q]) >= level) & (y[p] != y[q]):

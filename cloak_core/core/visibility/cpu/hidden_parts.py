@@ -31,41 +31,51 @@ _BEHIND, _NEARER, _PARTLY = 0, 1, 2
 
 
 @loop
-def cut_hidden(mesh, at, owner, share, work, most):
+def cut_hidden(mesh, at, owner, coverage, work, most):
     """Reduce a pixel's pieces to what is visible of them.
 
-    at: column, row and size (as a shift) of the pixel; owner [n]: the triangle of each piece; share [3, n]: area (0:
-    hidden) and centroid, changed in place. Returns how many tests of a convex part against a triangle it took, and
-    False where that is more than `most`, or too many pieces or parts; `share` is unfinished then.
+    mesh: a `Mesh`; at: column, row and size (as a shift) of the pixel; owner: int32 [n], the triangle of each piece;
+    coverage: float32 [3, n], area (0: hidden) and centroid, changed in place; work: a `Workspace` for n pieces. Returns
+    how many tests of a convex part against a triangle it took, and False where that is more than `most`, or too many
+    pieces or parts; `coverage` is unfinished then.
     """
-    found = len(owner)
-    if found > MOST_PIECES:
+    count = len(owner)
+    if count > MOST_PIECES:
         return 0, False
-    pieces, cuts, seen, far = work.pieces, 0, 0.0, np.inf
-    for i in range(found):
+    pieces = work.pieces
+    cuts = 0
+    seen = 0.0
+    far = np.inf
+    for i in range(count):
         work.fields[i] = describe(mesh, owner[i], at, pieces, i)
         work.behind[i] = -pieces[i].bounds[1]
-    order = work.order[:found]
+    # Nearest first, as Weiler and Atherton do: a piece's hiders mostly come before it.
+    order = work.order[:count]
     _sort(order, work.behind)
-    whole, left = _closed_front(mesh, at, owner, share, order, pieces)
+    whole, left = _closed_front(mesh, at, owner, coverage, order, pieces)
+    # Where the nearest pieces fill the pixel by themselves (whole == left) they are seen as they are and all others
+    # are hidden: nothing is cut.
     for k in range(left if whole < left else 0):
         i = order[k]
+        # The pixel is full, and all of this piece lies behind all of what filled it: so does every piece after it.
         if (seen >= FULL) & (pieces[i].bounds[1] < far):
             left = k
             break
-        used, fits = _cut_piece(i, order, left, share, work, most - cuts)
+        used, fits = _cut_piece(i, order, left, coverage, work, most - cuts)
         cuts += used
         if not fits:
             return cuts, False
-        seen, far = seen + share[0, i], min(far, pieces[i].bounds[0])
-    for k in range(left, found):
-        share[0, order[k]] = 0.0
+        seen = seen + coverage[0, i]
+        far = min(far, pieces[i].bounds[0])
+    for k in range(left, count):
+        coverage[0, order[k]] = 0.0
     return cuts, True
 
 
 @inner
 def _sort(order, behind):
     """Sort pieces, nearest first (Shell 1959); allocates nothing, which pixels of few pieces would wait for."""
+    # Knuth's gaps 1, 4, 13, 40 ...
     gap = 1
     while gap < len(order) // 3:
         gap = 3 * gap + 1
@@ -73,7 +83,8 @@ def _sort(order, behind):
         order[k] = k
     while gap > 0:
         for k in range(gap, len(order)):
-            i, at = order[k], k
+            i = order[k]
+            at = k
             while at >= gap and behind[order[at - gap]] > behind[i]:
                 order[at] = order[at - gap]
                 at -= gap
@@ -82,32 +93,42 @@ def _sort(order, behind):
 
 
 @inner
-def _closed_front(mesh, at, owner, share, order, pieces):
+def _closed_front(mesh, at, owner, coverage, order, pieces):
     """Count the nearest pieces that fill the pixel without overlap, and those behind which nothing is seen.
 
     Without boundary edges among them (edge_hash.py) and with the area of the pixel they cover each point once. Both
     counts are those of all pieces where there are no such nearest ones.
     """
-    hashes, area, far, whole = np.int64(0), 0.0, np.inf, -1
+    hashes = np.int64(0)
+    area = 0.0
+    far = np.inf
+    whole = -1
     for k in range(len(order)):
         i = order[k]
         if whole >= 0:
+            # The pixel is filled; pieces that reach before the farthest point of what fills it may still be seen.
             if pieces[i].bounds[1] < far:
                 return whole, k
             continue
         a, b, c = mesh.corner[0, owner[i]], mesh.corner[1, owner[i]], mesh.corner[2, owner[i]]
         twice = doubled_area(mesh.x, mesh.y, a, b, c)
         hashes += edge_sum(mesh.x, mesh.y, mesh.hashes, a, b, c, twice, at)
-        area, far = area + share[0, i], min(far, pieces[i].bounds[0])
+        area = area + coverage[0, i]
+        far = min(far, pieces[i].bounds[0])
         if (hashes == 0) & (abs(area - 1) <= WHOLE):
             whole = k + 1
     return whole, len(order)
 
 
 @inner
-def _cut_piece(i, order, left, share, work, most):
-    """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`."""
-    pieces, pool, end, cuts = work.pieces, work.pool, 0, 0
+def _cut_piece(i, order, left, coverage, work, most):
+    """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`.
+
+    order: int64 [n], nearest first, of which the first `left` may be seen; the parts of piece i are the polygons from
+    `_PARTS` to `end` of the pool.
+    """
+    pieces, pool = work.pieces, work.pool
+    end, cuts = 0, 0
     for k in range(_find_hiders(work, i, order, left)):
         q = work.hiders[k]
         if q == i or _beside(pieces, i, q):
@@ -115,13 +136,14 @@ def _cut_piece(i, order, left, share, work, most):
         depth = _depth(pieces, i, q)
         if depth == _BEHIND:
             continue
-        if end == 0:
+        if end == 0:  # the first that may hide it: only now are polygons needed
             end = _PARTS + _polygon(pool, _PARTS, pieces, i)
         cuts += end - _PARTS
         end, fits = _take_away(pool, pieces, i, q, depth, end)
         if not fits or cuts > most:
             return cuts, False
         if end == _PARTS:
+            # Nothing is left. Without fields it is found as no hider either: its own hiders hide what it would.
             work.fields[i] = 0
             break
     if end > 0:
@@ -129,9 +151,9 @@ def _cut_piece(i, order, left, share, work, most):
         for slot in range(_PARTS, end):
             part = measure(pool, slot)
             area, across, down = area + part[0], across + part[1], down + part[2]
-        share[0, i] = area if area > NOTHING else 0.0
-        share[1, i] = min(max(across / area, 0.0), 1.0) if area > 0 else 0.0
-        share[2, i] = min(max(down / area, 0.0), 1.0) if area > 0 else 0.0
+        coverage[0, i] = area if area > NOTHING else 0.0
+        coverage[1, i] = min(max(across / area, 0.0), 1.0) if area > 0 else 0.0
+        coverage[2, i] = min(max(down / area, 0.0), 1.0) if area > 0 else 0.0
     return cuts, True
 
 
@@ -141,14 +163,17 @@ def _find_hiders(work, i, order, left):
 
     Branch-free within the loops: the branch is unpredictable.
     """
-    pieces, fields, hiders, near, held = work.pieces, work.fields, work.hiders, 0, 0
-    mine, low = fields[i], pieces[i].bounds[0]
+    pieces, fields, hiders = work.pieces, work.fields, work.hiders
+    near, held = 0, 0
+    own_fields = fields[i]
+    low = pieces[i].bounds[0]
     for k in range(left):
         q = order[k]
-        if -work.behind[q] < low:
+        if -work.behind[q] < low:  # sorted: this piece and all after it lie behind piece i
             break
+        # Written always, kept by counting: boxes that share no field of the pixel cannot meet.
         hiders[near] = q
-        near += (fields[q] & mine) != 0
+        near += (fields[q] & own_fields) != 0
     for k in range(near):
         q = hiders[k]
         hiders[held] = q
@@ -159,16 +184,16 @@ def _find_hiders(work, i, order, left):
 @inner
 def _overlap(pieces, i, q):
     """Intersect two boxes: left, top, right, bottom."""
-    one, other = pieces[i].box, pieces[q].box
-    left, right = max(one[0], other[0]), min(one[2], other[2])
-    return left, max(one[1], other[1]), right, min(one[3], other[3])
+    own, other = pieces[i].box, pieces[q].box
+    left, right = max(own[0], other[0]), min(own[2], other[2])
+    return left, max(own[1], other[1]), right, min(own[3], other[3])
 
 
 @inner
 def _ahead(pieces, i, q):
     """Subtract two planes: how much nearer piece q is than piece i."""
-    one, other = pieces[i].plane, pieces[q].plane
-    return other[0] - one[0], other[1] - one[1], other[2] - one[2]
+    own, other = pieces[i].plane, pieces[q].plane
+    return other[0] - own[0], other[1] - own[1], other[2] - own[2]
 
 
 @inner
@@ -176,6 +201,7 @@ def _may_hide(pieces, i, q):
     """Test whether boxes meet and piece q is not behind piece i there."""
     left, top, right, bottom = _overlap(pieces, i, q)
     c, a, b = _ahead(pieces, i, q)
+    # A plane is greatest over a box in one of its corners.
     ahead = c + max(a * left, a * right) + max(b * top, b * bottom)
     meet = (left < right - TOUCH) & (top < bottom - TOUCH)
     return meet & (ahead >= 0) & (pieces[q].bounds[1] >= pieces[i].bounds[0])
@@ -186,7 +212,7 @@ def _depth(pieces, i, q):
     """Tell whether piece q is nearer than piece i wherever boxes meet, or in a part of that, or nowhere."""
     left, top, right, bottom = _overlap(pieces, i, q)
     c, a, b = _ahead(pieces, i, q)
-    if (a == 0) & (b == 0) & (c == 0):
+    if (a == 0) & (b == 0) & (c == 0):  # the same plane: the lower id is in front, wherever the two are compared
         return _NEARER if pieces[q].id < pieces[i].id else _BEHIND
     if c + max(a * left, a * right) + max(b * top, b * bottom) <= 0:
         return _BEHIND
@@ -199,9 +225,11 @@ def _beside(pieces, i, q):
     left, top, right, bottom = _overlap(pieces, i, q)
     if (left >= right - TOUCH) | (top >= bottom - TOUCH):
         return True
+    # Separating axis test, with the edges of one triangle alone: those of q are found when it is cut.
     line, corner = pieces[i].line, pieces[q].corner
     for k in range(0, 9, 3):
-        a, b, c, high = line[k], line[k + 1], line[k + 2], -1.0
+        a, b, c = line[k], line[k + 1], line[k + 2]
+        high = -1.0
         for n in range(0, 6, 2):
             high = max(high, a * corner[n] + b * corner[n + 1] + c)
         if high <= TOUCH:
@@ -211,25 +239,36 @@ def _beside(pieces, i, q):
 
 @inner
 def _take_away(pool, pieces, i, q, depth, end):
-    """Cut away from the parts of piece i what piece q hides; returns the end of the parts, and whether all fit."""
+    """Cut away from the parts of piece i what piece q hides; returns the end of the parts, and whether all fit.
+
+    depth: `_NEARER` or `_PARTLY`. What is hidden of a part is convex: inside the three edges of q and, where the
+    triangles pierce each other, on the side of their common line where q is nearer. Cutting along one line after the
+    other splits off what lies outside of it, visible and convex; what stays inside all lines is dropped.
+    """
     c, a, b = _ahead(pieces, i, q)
+    # Scaled to length 1 like the edges, so that distances from it are pixels.
     scale = 1 / np.sqrt(a * a + b * b) if depth == _PARTLY else 0.0
     nearer = a * scale, b * scale, c * scale
+    # Backwards: parts that are split off are added behind, and are not looked at again.
     for slot in range(end - 1, _PARTS - 1, -1):
         crossed, missed = _crossed(pool, slot, pieces, q, depth, nearer)
         if missed:
             continue
-        source, into = slot, 0
+        source = slot
+        into = 0
         for k in range(4):
             if not crossed & (1 << k):
                 continue
             u, v, w = _line(pieces, q, k, nearer)
             if end >= MOST_PARTS or not cut(pool, source, u, v, w, into, end):
                 return end, False
+            # The part outside of this line stays; what is inside goes on, in one of the two workspaces in turn.
             end += (pool[end, 0] >= 3) and (measure(pool, end)[0] > _LEAST)
             if pool[into, 0] < 3:
                 break
-            source, into = into, 1 - into
+            source = into
+            into = 1 - into
+        # The part itself is used up: the last one takes its place.
         end -= 1
         if slot < end:
             copy(pool, end, slot)
@@ -252,7 +291,7 @@ def _crossed(pool, slot, pieces, q, depth, nearer):
     for k in range(4 if depth == _PARTLY else 3):
         a, b, c = _line(pieces, q, k, nearer)
         inside, outside = reach(pool, slot, a, b, c)
-        if inside <= TOUCH:
+        if inside <= TOUCH:  # all of the part lies outside of this line: nothing of it is hidden
             return 0, True
         crossed |= (outside < -TOUCH) << k
     return crossed, False
@@ -265,6 +304,7 @@ def _polygon(pool, slot, pieces, i):
     for k in range(6):
         pool[slot, 1 + k] = pieces[i].corner[k]
     for k in range(4):
+        # The pixel's sides, positive inside: x >= 0, x <= 1, y >= 0, y <= 1.
         sign = 1.0 if k % 2 == 0 else -1.0
         a, b, c = sign if k < 2 else 0.0, sign if k >= 2 else 0.0, 0.0 if k % 2 == 0 else 1.0
         if reach(pool, slot, a, b, c)[1] < 0:

@@ -14,7 +14,7 @@ from cloak_core.core.visibility.cpu.shading import light_all, material_of
 
 
 def build_view(
-    found: Fragments,
+    fragments: Fragments,
     screen: Screen,
     surface: Surface,
     normals: Float32[Tensor, "3 V"],
@@ -23,12 +23,12 @@ def build_view(
     """See `Backend.build_view`."""
     space = np.stack([axis[0].numpy() for axis in screen.view])
     camera = float(screen.focal), screen.width / 2, screen.height / 2
-    fragments = arrays(found.pixel, found.triangle, found.area, found.x, found.y)
+    columns = arrays(fragments.pixel, fragments.triangle, fragments.area, fragments.x, fragments.y)
     corner, face_of, normal, position = arrays(surface.triangles, surface.face, normals, light_position)
     maps = [surface.corner_uv, surface.corner_cloth]
-    uv_of, cloth_of = (np.empty((2, 3, 0), np.float32) if one is None else arrays(one)[0] for one in maps)
+    uv_of, cloth_of = (np.empty((2, 3, 0), np.float32) if corners is None else arrays(corners)[0] for corners in maps)
     about = corner, space, camera, normal, position, material_of(surface.light), uv_of, cloth_of
-    made = _matrix(*fragments, *about, face_of, surface.by_face)
+    made = _matrix(*columns, *about, face_of, surface.by_face)
     pixels, coverage, specular, crow, face, weight, uv, cloth = map(torch.from_numpy, made)
     return View(
         screen.height,
@@ -84,8 +84,10 @@ def _fold(pixel, area, highlight, face, weight, by_face):
                 value[at] += weight[i]
                 continue
             for j in range(entries, at, -1):
-                column[j], value[j] = column[j - 1], value[j - 1]
-        column[at], value[at] = face[i], weight[i]
+                column[j] = column[j - 1]
+                value[j] = value[j - 1]
+        column[at] = face[i]
+        value[at] = weight[i]
         entries += 1
     crow[rows] = entries
     # Copies: what is not used of these arrays should not stay in memory.

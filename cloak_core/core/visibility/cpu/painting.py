@@ -57,7 +57,8 @@ def _logo_parts(views: Sequence[BakedView]) -> Iterator[slice]:
     """Yield where each view's logo pixels stand among those of all."""
     stop = 0
     for view in views:
-        start, stop = stop, stop + view.map.height
+        start = stop
+        stop = stop + view.map.height
         yield slice(start, stop)
 
 
@@ -84,9 +85,11 @@ class LogoMatrix:
     ) -> Float32[Tensor, "*B L 3"]:
         """See `backend.LogoMatrix`."""
         images, _, height, width = upstream.shape
-        pixel_step, channel_step = 1, height * width
+        pixel_step = 1
+        channel_step = height * width
         if upstream.is_contiguous(memory_format=torch.channels_last):
-            upstream, pixel_step, channel_step = upstream.permute(0, 2, 3, 1), 3, 1
+            upstream = upstream.permute(0, 2, 3, 1)
+            pixel_step, channel_step = 3, 1
         result = torch.zeros(shape)
         passes, target, numbers, total = arrays(*kept, upstream.reshape(images, -1), result)
         for image, (matrix, own) in enumerate(self.blocks):
@@ -106,23 +109,26 @@ def _draw(
     pixels, coverage, base_color, contrast, brightness, noise, image, width, height, right, down, rows, base, target
 ):  # fmt: skip
     """Composite one body; the first len(base) pixels, the logo's, without the logo, go into `base`."""
-    noisy, logo, lost, plane = len(noise) > 0, len(base), len(rows) - 1, width * height
+    noisy = len(noise) > 0
+    logo = len(base)
+    lost, plane = len(rows) - 1, width * height
     start = stop = moved = 0
     for n in range(len(pixels)):
-        pixel, share = pixels[n], coverage[n]
+        pixel = pixels[n]
+        cover = coverage[n]
         if pixel < start or pixel >= stop:
             # Rarely: most pixels lie in the same row of the image as the one before. Divisions are slow.
             start = pixel // width * width
             stop, moved = start + width, start + down * width
         x = pixel - start + right
         row = image * plane + moved + x if 0 <= x < width and 0 <= moved < plane else lost
-        red = base_color[0, n] * contrast + brightness * share
-        green = base_color[1, n] * contrast + brightness * share
-        blue = base_color[2, n] * contrast + brightness * share
+        red = base_color[0, n] * contrast + brightness * cover
+        green = base_color[1, n] * contrast + brightness * cover
+        blue = base_color[2, n] * contrast + brightness * cover
         if noisy:
-            red, green, blue = red + noise[n, 0] * share, green + noise[n, 1] * share, blue + noise[n, 2] * share
-        if share < ONE:
-            beside = ONE - share
+            red, green, blue = red + noise[n, 0] * cover, green + noise[n, 1] * cover, blue + noise[n, 2] * cover
+        if cover < ONE:
+            beside = ONE - cover
             red, green, blue = red + rows[row, 0] * beside, green + rows[row, 1] * beside, blue + rows[row, 2] * beside
         if n < logo:
             base[n, 0], base[n, 1], base[n, 2], target[n] = red, green, blue, row
@@ -138,10 +144,11 @@ def _paint(crow, face, weight, colors, base, target, rows, passes):
         row = target[m]
         red, green, blue = base[m, 0], base[m, 1], base[m, 2]
         for entry in range(crow[m], crow[m + 1]):
-            share, f = weight[entry], face[entry]
-            red += share * colors[f, 0]
-            green += share * colors[f, 1]
-            blue += share * colors[f, 2]
+            part = weight[entry]
+            f = face[entry]
+            red += part * colors[f, 0]
+            green += part * colors[f, 1]
+            blue += part * colors[f, 2]
         shown_red, shown_green, shown_blue = _clamped(red), _clamped(green), _clamped(blue)
         rows[row, 0], rows[row, 1], rows[row, 2] = shown_red, shown_green, shown_blue
         same = (shown_red == red) * 1 | (shown_green == green) * 2 | (shown_blue == blue) * 4
@@ -160,10 +167,11 @@ def _add_gradient(crow, face, weight, passes, target, first, upstream, pixel_ste
         green = upstream[at + channel_step] if passing & 2 else ZERO
         blue = upstream[at + 2 * channel_step] if passing & 4 else ZERO
         for entry in range(crow[m], crow[m + 1]):
-            share, f = weight[entry], face[entry]
-            result[f, 0] += share * red
-            result[f, 1] += share * green
-            result[f, 2] += share * blue
+            part = weight[entry]
+            f = face[entry]
+            result[f, 0] += part * red
+            result[f, 1] += part * green
+            result[f, 2] += part * blue
 
 
 @loop

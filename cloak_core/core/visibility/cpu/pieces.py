@@ -25,10 +25,12 @@ NOTHING = 1e-9
 def find_candidates(x, y, corner, one_sided, x0, x1, y0, y1):
     """List triangles that touch the window and have area: first front-facing, then back-facing ones.
 
-    Returns index and doubled area, first and last row; and for every row of the window how many pixels at most they
-    touch there.
+    x, y: int32 [K], snapped; corner: int64 [3, N]; one_sided: bool [N], dropped where the back shows; x0, x1, y0, y1:
+    the window, pixels. Returns index and doubled area, first and last row; and for every row of the window how many
+    pixels at most they touch there.
     """
-    most, count, backs = corner.shape[1], 0, 0
+    most = corner.shape[1]
+    count, backs = 0, 0
     index, area = np.empty(most, np.int32), np.empty(most, np.int64)
     first, last = np.empty(most, np.int32), np.empty(most, np.int32)
     load = np.zeros(y1 - y0 + 1, np.int64)
@@ -41,11 +43,13 @@ def find_candidates(x, y, corner, one_sided, x0, x1, y0, y1):
         c0, c1 = touched(x[a], x[b], x[c], x0, x1)
         if (c0 > c1) | (r0 > r1):
             continue
+        # Fronts fill the arrays from their beginning, backs from their end: one pass, and both keep their order.
         at = count if twice < 0 else most - 1 - backs
         count, backs = count + (twice < 0), backs + (twice > 0)
         index[at], area[at], first[at], last[at] = t, twice, r0, r1
         load[r0 - y0] += c1 - c0 + 1
         load[r1 + 1 - y0] -= c1 - c0 + 1
+    # Each triangle added its width at its first row and took it off after its last: running sums give every row's.
     for row in range(1, len(load)):
         load[row] += load[row - 1]
     fronts = count, backs
@@ -62,54 +66,69 @@ def _joined(values, counts):
 def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
     """Find all pieces of a band: place, triangle (its index), area and centroid within the pixel [3, n].
 
-    Also returns the edge sum of each pixel (edge_hash.py). most: pieces there may be.
+    mesh: a `Mesh`; candidates: what `find_candidates` returns; x0, x1, y0, y1: the band, pixels; most: pieces there may
+    be. Returns int32 [n], int32 [n] and float32 [3, n]; and the edge sum of each pixel, int64 [pixels] (edge_hash.py).
     """
     index, areas, first, last, _ = candidates
-    width, count, backs = x1 - x0, 0, False
+    width = x1 - x0
+    count = 0
+    backs = False
     places = width * (y1 - y0)
     pixels = Pixels(np.zeros(places, np.int64), np.zeros(places), np.zeros(places), np.full(places, 2.0))
-    found = np.empty(most, np.int32), np.empty(most, np.int32), np.empty((3, most), np.float32)
+    pieces = np.empty(most, np.int32), np.empty(most, np.int32), np.empty((3, most), np.float32)
     edges, signs, sums = np.empty((3, 6)), np.empty(3, np.int64), np.zeros((width + 1, 5))
     fill_front(pixels.front, mesh, candidates, x0, x1, y0, y1)
     for k in range(len(index)):
+        # Before the first back-facing triangle: closed fronts hide most of what follows.
         if (areas[k] > 0) & (not backs):
             backs = True
             close_front(pixels)
         if (last[k] < y0) | (first[k] >= y1):
             continue
-        t, rows = index[k], (max(first[k], y0), min(last[k], y1 - 1))
+        t = index[k]
+        rows = (max(first[k], y0), min(last[k], y1 - 1))
         a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
         columns = touched(mesh.x[a], mesh.x[b], mesh.x[c], x0, x1)
+        # Small triangles are the most frequent ones, and need no edges: their piece is the triangle itself.
         if (columns[0] == columns[1]) & (rows[0] == rows[1]) & _within(mesh, a, b, c, columns[0], rows[0]):
             at = (rows[0] - y0) * width + columns[0] - x0
-            count = _add_inner(found, count, mesh, t, areas[k], columns[0], rows[0], pixels, at)
+            count = _add_inner(pieces, count, mesh, t, areas[k], columns[0], rows[0], pixels, at)
         else:
             prepare_edges(edges, signs, mesh, (a, b, c), areas[k])
             window = columns, rows, (x0, x1, y0)
-            count = _add_rows(found, count, mesh, t, areas[k], edges, signs, sums, pixels, window)
-    return found[0][:count], found[1][:count], found[2][:, :count], pixels.edge_sum
+            count = _add_rows(pieces, count, mesh, t, areas[k], edges, signs, sums, pixels, window)
+    return pieces[0][:count], pieces[1][:count], pieces[2][:, :count], pixels.edge_sum
 
 
 @inner
-def _add_inner(found, count, mesh, t, twice, column, row, pixels, at):
-    """Add the piece of a triangle that lies within one pixel; returns how many there are now."""
-    place, owner, share = found
+def _add_inner(pieces, count, mesh, t, twice, column, row, pixels, at):
+    """Add the piece of a triangle that lies within one pixel; returns how many there are now.
+
+    pieces: place, triangle, area and centroid, of which the first `count` are written; t: the triangle; twice: its
+    doubled signed area, grid units squared; at: the pixel's place in the band.
+    """
+    place, owner, coverage = pieces
     x, y, depth = mesh.x, mesh.y, mesh.inverse_depth
     a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
     pixels.edge_sum[at] += edge_sum(x, y, mesh.hashes, a, b, c, twice, (column, row, PIXEL))
     size = abs(twice) * (0.5 / (GRID * GRID))
+    # Behind a surface that fills the pixel a piece is never seen; `MARGIN` covers the rounding of both depths.
     if (size > NOTHING) & (max(depth[a], depth[b], depth[c]) + MARGIN >= pixels.front[at]):
         pixels.total[at] += size
         pixels.least[at] = min(pixels.least[at], min(depth[a], depth[b], depth[c]))
-        place[count], owner[count], share[0, count] = at, t, size
-        share[1, count], share[2, count] = _middle(x[a], x[b], x[c], column), _middle(y[a], y[b], y[c], row)
+        place[count], owner[count], coverage[0, count] = at, t, size
+        coverage[1, count], coverage[2, count] = _middle(x[a], x[b], x[c], column), _middle(y[a], y[b], y[c], row)
         count += 1
     return count
 
 
 @inner
-def _add_rows(found, count, mesh, t, twice, edges, signs, sums, pixels, window):
-    """Add the pieces of a triangle, row by row of pixels; returns how many there are now."""
+def _add_rows(pieces, count, mesh, t, twice, edges, signs, sums, pixels, window):
+    """Add the pieces of a triangle, row by row of pixels; returns how many there are now.
+
+    edges [3, 6], signs [3]: see `prepare_edges`; sums [width + 1, 5]: zeros, and left so; window: first and last column
+    and row of the triangle, and the band's left, right and top.
+    """
     (c0, c1), (r0, r1), (x0, x1, y0) = window
     a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
     depth = mesh.inverse_depth
@@ -118,34 +137,41 @@ def _add_rows(found, count, mesh, t, twice, edges, signs, sums, pixels, window):
     small = (c1 - c0 < 3) & (r1 - r0 < 3)
     plane = (a, 0.0, 0.0) if small else slopes(mesh.x, mesh.y, depth, a, b, c, twice)
     for row in range(r0, r1 + 1):
-        level, base = (near, far) if small else row_bounds(mesh, plane, row), (row - y0) * (x1 - x0)
+        level = (near, far) if small else row_bounds(mesh, plane, row)
+        base = (row - y0) * (x1 - x0)
         spanned = walk_row(edges, signs, sums, pixels.edge_sum, row, x0, x1, base)
         bounds = level, plane, mesh.x, near, far
-        count = _add_row(found, count, t, spanned, sums, pixels, bounds, (c0, c1, x0, base))
+        count = _add_row(pieces, count, t, spanned, sums, pixels, bounds, (c0, c1, x0, base))
     return count
 
 
 @inner
-def _add_row(found, count, t, spanned, sums, pixels, bounds, window):
-    """Add the pieces of a triangle in a row of pixels, from the accumulated edges; returns how many there are now."""
-    place, owner, share = found
+def _add_row(pieces, count, t, spanned, sums, pixels, bounds, window):
+    """Add the pieces of a triangle in a row of pixels, from the accumulated edges; returns how many there are now.
+
+    spanned: what `walk_row` returns; bounds: the row's depths, the plane, x of the corners, nearest and farthest depth
+    of the triangle; window: its first and last column, the band's left, and the place of the row's first pixel.
+    """
+    place, owner, coverage = pieces
     begin, end, carry, moment = spanned
     level, plane, x, near, far = bounds
     c0, c1, x0, base = window
     for column in range(max(begin, c0), max(c1, end) + 1):
+        # Signed-area accumulation: what entered further left lies right of its edges in this whole pixel (carry, whose
+        # centroid is in the pixel's middle across), what enters here in a part of it (sums).
         own, at = column - x0, base + column - x0
         area, mx, my = sums[own, 0] + carry, sums[own, 1] + carry / 2, sums[own, 2] + moment
         carry, moment = carry + sums[own, 3], moment + sums[own, 4]
         if column <= end:
             sums[own, 0] = sums[own, 1] = sums[own, 2] = sums[own, 3] = sums[own, 4] = 0.0
-        elif area < NOTHING:
+        elif area < NOTHING:  # right of the last edge, and nothing is carried on: the triangle ends here
             break
         high, low = pixel_bounds(level, plane, x, column, near, far)
         if (area > NOTHING) & (high + MARGIN >= pixels.front[at]):
             pixels.total[at] += area
             pixels.least[at] = min(pixels.least[at], low)
-            place[count], owner[count], share[0, count] = at, t, area
-            share[1, count], share[2, count] = min(max(mx / area, 0.0), 1.0), min(max(my / area, 0.0), 1.0)
+            place[count], owner[count], coverage[0, count] = at, t, area
+            coverage[1, count], coverage[2, count] = min(max(mx / area, 0.0), 1.0), min(max(my / area, 0.0), 1.0)
             count += 1
     return count
 
@@ -167,19 +193,22 @@ def _middle(a, b, c, pixel):
 
 
 @loop
-def sort_by_pixel(place, owner, share, places):
-    """Counting sort of the pieces by place, stable; also returns where each place's begin [places + 1]."""
+def sort_by_pixel(place, owner, coverage, places):
+    """Sort pieces by place (counting sort, stable); also return where each place's begin, int64 [places + 1].
+
+    place, owner: int32 [n]; coverage: float32 [3, n].
+    """
     begin = np.zeros(places + 1, np.int64)
     for p in place:
         begin[p + 1] += 1
     for p in range(places):
         begin[p + 1] += begin[p]
-    following = begin[:-1].copy()
-    sorted_owner, sorted_share = np.empty_like(owner), np.empty_like(share)
+    following = begin[:-1].copy()  # of each place, where its next piece goes
+    sorted_owner, sorted_coverage = np.empty_like(owner), np.empty_like(coverage)
     for i in range(len(place)):
         at = following[place[i]]
         following[place[i]] = at + 1
         sorted_owner[at] = owner[i]
         for k in range(3):
-            sorted_share[k, at] = share[k, i]
-    return sorted_owner, sorted_share, begin
+            sorted_coverage[k, at] = coverage[k, i]
+    return sorted_owner, sorted_coverage, begin

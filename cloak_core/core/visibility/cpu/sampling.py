@@ -68,18 +68,22 @@ def _span(a, b, c, shift, first, last):
 def _cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0, column0, shift):
     """Test one triangle at the samples of its box. name: its id."""
     p0, p1, p2 = corners
-    x0, y0, step = np.int64(x[p0]), np.int64(y[p0]), 1 << shift
+    x0, y0 = np.int64(x[p0]), np.int64(y[p0])
+    step = 1 << shift
     half = step >> 1
     d1x, d1y, d2x, d2y = x[p1] - x0, y[p1] - y0, x[p2] - x0, y[p2] - y0
     area = d1x * d2y - d1y * d2x
-    n0, size = inverse_depth[p0], float(area)
+    n0 = inverse_depth[p0]
+    size = float(area)
     slope1, slope2 = (inverse_depth[p1] - n0) / size, (inverse_depth[p2] - n0) / size
     across0, across1, across2 = (d1y - d2y) * step, d2y * step, -d1y * step
     right, width = c0 * step + half - x0, c1 - c0 + 1
     for row in range(r0, r1 + 1):
         below = row * step + half - y0
         e1, e2 = d2y * right - d2x * below, d1x * below - d1y * right
-        e0, low, high = area - e1 - e2, 0, width
+        e0 = area - e1 - e2
+        low = 0
+        high = width
         if width > _SHORT:
             low, high = _run(e0, e1, e2, across0, across1, across2, width)
         for k in range(low, high):
@@ -97,7 +101,8 @@ def _cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0,
 def _run(e0, e1, e2, across0, across1, across2, width):
     """The run [low, high) of a row's columns that are inside, by the top-left rule: edges 0-2, and 1-2 where it is on
     the left, own their samples; the others do not."""
-    low, high = 0, min(width, _quotient_up(e2, -across2))
+    low = 0
+    high = min(width, _quotient_up(e2, -across2))
     if across1 > 0:  # else level on top, and no row of the box lies above it
         low = max(low, _quotient_up(-e1, across1))
     if across0 > 0:
@@ -122,8 +127,8 @@ def _quotient_up(value, divisor):
 
 def merge_samples(packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
     """See `Backend.merge_samples`."""
-    found = _merge(*arrays(packed), grid, window.y0 * grid, window.x0 * grid, width)
-    return Fragments(*map(torch.from_numpy, found))
+    fragments = _merge(*arrays(packed), grid, window.y0 * grid, window.x0 * grid, width)
+    return Fragments(*map(torch.from_numpy, fragments))
 
 
 @loop
@@ -140,14 +145,15 @@ def _merge(packed, grid, row0, column0, width):
     names, sums = np.empty(grid * grid, np.int64), np.empty((3, grid * grid), np.int64)
     for top in range(0, packed.shape[0], grid):
         for left in range(0, packed.shape[1], grid):
-            found = _gather(packed, top, left, grid, names, sums)
+            present = _gather(packed, top, left, grid, names, sums)
             place = (row0 + top) // grid * width + (column0 + left) // grid
-            for i in range(found):
+            for i in range(present):
                 held = sums[0, i]
                 x[count] = (column0 + left + 0.5 + sums[1, i] / held) / grid
                 y[count] = (row0 + top + 0.5 + sums[2, i] / held) / grid
                 area[count] = held / (grid * grid)
-                pixel[count], triangle[count] = place, names[i]
+                pixel[count] = place
+                triangle[count] = names[i]
                 count += 1
     return pixel[:count], triangle[:count], area[:count], x[:count], y[:count]
 
@@ -155,51 +161,55 @@ def _merge(packed, grid, row0, column0, width):
 @loop
 def _gather(packed, top, left, grid, names, sums):
     """List a pixel's triangles, ascending, with the number and the sums of columns and rows of their samples."""
-    found = 0
+    count = 0
     for row in range(grid):
         for column in range(grid):
             key = packed[top + row, left + column]
             if key == EMPTY:
                 continue
-            at = found - 1  # the latest is the likeliest
+            at = count - 1  # the latest is the likeliest
             while at >= 0 and names[at] != key & _ID:
                 at -= 1
             if at < 0:
-                at = found
+                at = count
                 while at > 0 and names[at - 1] > key & _ID:
-                    names[at], sums[0, at] = names[at - 1], sums[0, at - 1]
+                    names[at] = names[at - 1]
+                    sums[0, at] = sums[0, at - 1]
                     sums[1, at], sums[2, at] = sums[1, at - 1], sums[2, at - 1]
                     at -= 1
                 names[at] = key & _ID
                 sums[0, at] = sums[1, at] = sums[2, at] = 0
-                found += 1
+                count += 1
             sums[0, at] += 1
             sums[1, at] += column
             sums[2, at] += row
-    return found
+    return count
 
 
 @loop
-def sample_pixel(mesh, column, row, owner, share):
-    """Sample the pieces of one pixel: area and centroid of each visible one into `share` [3, n], 0 for the others.
+def sample_pixel(mesh, column, row, owner, coverage):
+    """Sample the pieces of one pixel: area and centroid of each visible one into `coverage` [3, n], 0 for the others.
 
     owner [n]: their triangles.
     """
     # Names ascend with triangle ids, so that equal depths go to the lower id.
-    order, packed = np.argsort(mesh.ids[owner]), np.full((SIDE, SIDE), EMPTY)
-    corner, names, one_sided = mesh.corner[:, owner[order]], np.arange(len(order)), np.zeros(len(order), np.bool_)
+    order = np.argsort(mesh.ids[owner])
+    packed = np.full((SIDE, SIDE), EMPTY)
+    corner = mesh.corner[:, owner[order]]
+    names = np.arange(len(order))
+    one_sided = np.zeros(len(order), np.bool_)
     _draw(packed, mesh.x, mesh.y, mesh.inverse_depth, corner, names, one_sided, row * SIDE, column * SIDE, _SHIFT)
-    share[:] = 0
+    coverage[:] = 0
     for y in range(SIDE):
         for x in range(SIDE):
             if packed[y, x] != EMPTY:
                 piece = order[packed[y, x] & _ID]
-                share[0, piece] += 1
-                share[1, piece] += x
-                share[2, piece] += y
+                coverage[0, piece] += 1
+                coverage[1, piece] += x
+                coverage[2, piece] += y
     for piece in range(len(owner)):
-        held = float(share[0, piece])
+        held = float(coverage[0, piece])
         if held > 0:
-            share[1, piece] = (share[1, piece] / held + 0.5) / SIDE
-            share[2, piece] = (share[2, piece] / held + 0.5) / SIDE
-        share[0, piece] = held / (SIDE * SIDE)
+            coverage[1, piece] = (coverage[1, piece] / held + 0.5) / SIDE
+            coverage[2, piece] = (coverage[2, piece] / held + 0.5) / SIDE
+        coverage[0, piece] = held / (SIDE * SIDE)

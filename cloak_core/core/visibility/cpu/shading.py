@@ -34,7 +34,8 @@ def light_all(
     ax, ay, az = space[0], space[1], space[2]
     nx_of, ny_of, nz_of = normals[0], normals[1], normals[2]
     lx, ly, lz = light[0], light[1], light[2]
-    step, textured, laid = 1 / focal, uv_of.shape[2] > 0, cloth_of.shape[2] > 0
+    step = 1 / focal
+    textured, laid = uv_of.shape[2] > 0, cloth_of.shape[2] > 0
     for i in range(len(triangle)):
         t = triangle[i]
         p, q, r = corner[0, t], corner[1, t], corner[2, t]
@@ -45,7 +46,8 @@ def light_all(
         w0, w1, w2 = _weights(crosses, dx, dy)
         total = w0 + w1 + w2
         if total == 0:  # seen exactly edge-on: its first corner stands in
-            w0, w1, w2, depth = 1.0, 0.0, 0.0, az[p]
+            w0, w1, w2 = 1.0, 0.0, 0.0
+            depth = az[p]
         else:
             scale = 1 / total
             w0, w1, w2 = w0 * scale, w1 * scale, w2 * scale

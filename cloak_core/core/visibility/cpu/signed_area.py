@@ -18,7 +18,9 @@ from cloak_core.core.visibility.screen import GRID
 def prepare_edges(edges, signs, mesh, corners, twice):
     """Write a triangle's edges, each from its upper end (of two the left one), and their hashes.
 
-    edges [3, 6]: x, y, x, y in pixels, change of x with y, and 1 where the triangle lies on its right, -1 on its left.
+    mesh: a `Mesh`; corners: of the triangle; twice: its doubled signed area. signs: int64 [3], each edge's hash.
+    edges: float64 [3, 6]: x, y, x, y in pixels, change of x with y, and 1 where the triangle lies on its right, -1 on
+    its left.
     """
     a, b, c = corners
     x, y = mesh.x, mesh.y
@@ -44,14 +46,17 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
     sums: area and moments right of the edges within the pixel, area and moment in y for every pixel to the right.
     Returns the first and last column that they touch, and area and moment that come in from the left.
     """
-    begin, end, carry, moment = np.int64(x1), np.int64(x0), 0.0, 0.0
+    begin, end = np.int64(x1), np.int64(x0)
+    carry, moment = 0.0, 0.0
     for k in range(3):
         if (edges[k, 3] <= row) | (edges[k, 1] >= row + 1):
             continue
         u0, v0, u1, v1 = _clip_to_row(edges, k, row)
         side = edges[k, 5]
-        column, stop = np.int64(np.floor(u0)), np.int64(np.ceil(u1)) - 1
+        column = np.int64(np.floor(u0))
+        stop = np.int64(np.ceil(u1)) - 1
         slant = (v1 - v0) / (u1 - u0) if u1 > u0 else 0.0
+        # What lies left of the window acts as if it ran along the window's left edge.
         if column < x0:
             beyond = v1 if u1 <= x0 else v0 + (x0 - u0) * slant
             part = side * abs(beyond - v0)
@@ -59,8 +64,11 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
             if u1 <= x0:
                 begin = np.int64(x0)
                 continue
-            u0, v0, column = float(x0), beyond, np.int64(x0)
+            u0 = float(x0)
+            v0 = beyond
+            column = np.int64(x0)
         begin, end = min(begin, column), max(end, min(max(stop, column), x1 - 1))
+        # Pixel by pixel along the edge, as in a digital differential analyser.
         while column < x1:
             u, v = (u1, v1) if column >= stop else (column + 1.0, v0 + (column + 1 - u0) * slant)
             _add_edge(sums, column - x0, u0 - column, v0, u - column, v, side)
@@ -68,7 +76,8 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
                 edge_sum[base + column - x0] += signs[k]
             if column >= stop:
                 break
-            u0, v0, column = u, v, column + 1
+            u0, v0 = u, v
+            column = column + 1
     return begin, end, carry, moment
 
 
@@ -76,18 +85,25 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
 def _clip_to_row(edges, k, row):
     """Clip an edge to a row of pixels, from left to right; y counted from the row."""
     xt, yt, xb, yb, slope = edges[k, 0], edges[k, 1], edges[k, 2], edges[k, 3], edges[k, 4]
-    v0, v1, u0, u1 = yt - row, yb - row, xt, xb
+    v0, v1 = yt - row, yb - row
+    u0, u1 = xt, xb
     low, high = min(xt, xb), max(xt, xb)
     if v0 < 0:
-        v0, u0 = 0.0, min(max(xt + (row - yt) * slope, low), high)
+        v0 = 0.0
+        u0 = min(max(xt + (row - yt) * slope, low), high)
     if v1 > 1:
-        v1, u1 = 1.0, min(max(xt + (row + 1 - yt) * slope, low), high)
+        v1 = 1.0
+        u1 = min(max(xt + (row + 1 - yt) * slope, low), high)
     return (u0, v0, u1, v1) if u1 >= u0 else (u1, v1, u0, v0)
 
 
 @inner
 def _add_edge(sums, at, u0, v0, u1, v1, side):
-    """Add a part of an edge within one pixel."""
+    """Add a part of an edge within one pixel: area and moments of what lies right of it, by integrals over y.
+
+    With u(y) along the edge, they are those of 1 - u, of (1 - u^2) / 2 and of y (1 - u). u0, v0, u1, v1: the ends,
+    from the pixel's corner.
+    """
     part, middle = side * abs(v1 - v0), (v0 + v1) / 2
     sums[at, 0] += part * (1 - (u0 + u1) / 2)
     sums[at, 1] += part * (1 - (u0 * u0 + u0 * u1 + u1 * u1) / 3) / 2

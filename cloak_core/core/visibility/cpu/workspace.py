@@ -109,7 +109,8 @@ def describe(mesh, t, at, pieces, i):
     depths = mesh.inverse_depth[p0], mesh.inverse_depth[p1], mesh.inverse_depth[p2]
     _set_plane(pieces, i, (x0, y0), (d1x, d1y), (d2x, d2y), side, depths)
     pieces[i].id = mesh.ids[t]
-    unit, own = 1.0 / side, pieces[i]
+    unit = 1.0 / side
+    own = pieces[i]
     x0, y0, x1, y1, x2, y2 = (
         x0 * unit, y0 * unit, (x0 + d1x) * unit, (y0 + d1y) * unit, (x0 + d2x) * unit, (y0 + d2y) * unit
     )  # fmt: skip
@@ -148,9 +149,12 @@ def _steps(e1, e2, slope1, slope2, n0):
 @inner
 def _fields(left, top, right, bottom):
     """List the fields that a box touches, as bits."""
-    u0, u1 = np.int64(left * FIELDS), min(np.int64(right * FIELDS), FIELDS - 1)
-    v0, v1 = np.int64(top * FIELDS), min(np.int64(bottom * FIELDS), FIELDS - 1)
-    row, bits = (np.int64(2) << u1) - (np.int64(1) << u0), np.int64(0)
+    u0 = np.int64(left * FIELDS)
+    u1 = min(np.int64(right * FIELDS), FIELDS - 1)
+    v0 = np.int64(top * FIELDS)
+    v1 = min(np.int64(bottom * FIELDS), FIELDS - 1)
+    row = (np.int64(2) << u1) - (np.int64(1) << u0)
+    bits = np.int64(0)
     for v in range(v0, v1 + 1):
         bits |= row << (v * FIELDS)
     return bits

@@ -25,9 +25,11 @@ def visible_areas(flat: FlatTriangles, window: Window, width: int) -> Iterator[F
     for parts in visible_parts(flat, window, width):
         places = parts.pieces.place[parts.crowded].unique().tolist()
         sampled += len(places)
-        found = Fragments.join([_measured(parts, width), *(_sampled(at, parts, width) for at in places)], flat.x.device)
-        order = torch.argsort(found.pixel, stable=True)
-        yield Fragments(*(getattr(found, column.name)[order] for column in fields(found)))
+        fragments = Fragments.join(
+            [_measured(parts, width), *(_sampled(at, parts, width) for at in places)], flat.x.device
+        )
+        order = torch.argsort(fragments.pixel, stable=True)
+        yield Fragments(*(getattr(fragments, column.name)[order] for column in fields(fragments)))
     if sampled:
         warnings.warn(CrowdedPixels(sampled), stacklevel=2)
 
@@ -52,7 +54,8 @@ def visible_parts(flat: FlatTriangles, window: Window, width: int) -> Iterator[P
     triangles = canonical(flat)
     box = torch.stack([*_touched(triangles.x, window.x0, window.x1), *_touched(triangles.y, window.y0, window.y1)])
     some = (torch.minimum(box[1] - box[0], box[3] - box[2]) >= 0).nonzero().view(-1)
-    triangles, box = triangles.take(some), box.index_select(1, some)
+    triangles = triangles.take(some)
+    box = box.index_select(1, some)
     for top, bottom in _bands(box, window, chunk_size(box.device)):
         pieces = find_pieces(triangles, box, top, bottom, width)
         names = triangles.ids.index_select(0, pieces.owner)
@@ -78,11 +81,13 @@ def _bands(box: Int64[Tensor, "4 N"], window: Window, most: int) -> Iterator[tup
     left, right, top, bottom = box
     load = torch.zeros(window.y1 - window.y0 + 1, dtype=torch.int64, device=box.device)
     load.index_add_(0, top - window.y0, right - left + 1).index_add_(0, bottom + 1 - window.y0, left - right - 1)
-    start, held = window.y0, 0
+    start = window.y0
+    held = 0
     for row, pairs in enumerate(load.cumsum(0)[:-1].tolist(), window.y0):
         if held and held + pairs > most:
             yield start, row
-            start, held = row, 0
+            start = row
+            held = 0
         held += pairs
     if held:
         yield start, window.y1

@@ -39,9 +39,9 @@ def _along(
     end = high.index_select(0, row)
     steps = count.index_select(0, row)
     square = start.floor() + step
-    share = (torch.minimum(end, square + 1) - torch.maximum(start, square)).clamp(min=0) / (end - start)
+    part = (torch.minimum(end, square + 1) - torch.maximum(start, square)).clamp(min=0) / (end - start)
     # Too wide to visit every square: evenly spaced ones.
     spaced = (start + (step + 0.5) * (end - start) / steps).floor()
     is_wide = end - start.floor() > MOST_SQUARES
     square = torch.where(is_wide, spaced, square)
-    return square.to(torch.int64), torch.where(is_wide, 1 / steps, share)
+    return square.to(torch.int64), torch.where(is_wide, 1 / steps, part)

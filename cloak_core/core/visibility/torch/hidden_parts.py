@@ -36,20 +36,25 @@ def cut_hidden(
     Crowded pieces are those of pixels that take more pieces or cuts than allowed; they have no parts. In each turn
     every piece meets one more piece that may hide it.
     """
-    lines, name = _lines(pieces, triangles, width), triangles.ids.index_select(0, pieces.owner)
+    lines = _lines(pieces, triangles, width)
+    name = triangles.ids.index_select(0, pieces.owner)
     _, pixel, size = torch.unique_consecutive(pieces.place, return_inverse=True, return_counts=True)
     crowded = size > MOST_PIECES
     first, count, hider = _hiders(pieces, torch.where(crowded, 0, size)[pixel], (size.cumsum(0) - size)[pixel])
-    shape, owner, done = pieces.shape, torch.arange(len(name), device=name.device), []
+    shape = pieces.shape
+    owner = torch.arange(len(name), device=name.device)
+    done = []
     cuts = torch.zeros_like(size)
     for turn in itertools.count():
         finished = count[owner] <= turn
         done.append((shape[..., finished], owner[finished]))
-        shape, owner = shape[..., ~finished], owner[~finished]
+        shape = shape[..., ~finished]
+        owner = owner[~finished]
         cuts += torch.bincount(pixel[owner], minlength=len(cuts))
         crowded |= cuts > MOST_CUTS
         going = ~crowded[pixel[owner]]
-        shape, owner = shape[..., going], owner[going]
+        shape = shape[..., going]
+        owner = owner[going]
         if not len(owner):
             break
         by = hider[first[owner] + turn]
@@ -57,7 +62,8 @@ def cut_hidden(
         shape, kept = _subtract(shape, hiding)
         owner = owner[kept]
     shapes, owners = zip(*done, strict=True)
-    shape, owner = join(list(shapes)), torch.cat(owners)
+    shape = join(list(shapes))
+    owner = torch.cat(owners)
     exact = ~crowded[pixel[owner]]
     return shape[..., exact], owner[exact], crowded[pixel]
 
@@ -65,7 +71,8 @@ def cut_hidden(
 def _lines(pieces: Pieces, triangles: Triangles, width: int) -> list[Line]:
     """Compute the three edges of each piece's triangle, from the pixel's corner."""
     left, top = pieces.place % width * GRID, torch.div(pieces.place, width, rounding_mode="floor") * GRID
-    corners, lines = from_corner(triangles, pieces.owner, left, top), []
+    corners = from_corner(triangles, pieces.owner, left, top)
+    lines = []
     for (x0, y0), (x1, y1) in ((corners[0], corners[1]), (corners[1], corners[2]), (corners[2], corners[0])):
         dx, dy = x1 - x0, y1 - y0
         scale = 1 / torch.sqrt(dx * dx + dy * dy)
@@ -77,22 +84,23 @@ def _lines(pieces: Pieces, triangles: Triangles, width: int) -> list[Line]:
 def _hiders(pieces: Pieces, rivals: Tensor, begin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """List the pieces that may hide each piece, sorted by place: first entry, number of entries, the list."""
     (least, most), low, high = pieces.depth_range(), pieces.shape.amin(0), pieces.shape.amax(0)
-    found, count = [begin[:0]], torch.zeros_like(rivals)
-    for mine, offset in expand(rivals):
-        other = begin[mine] + offset
-        meet = (mine != other) & (most[other] >= least[mine] - 1)
-        meet &= ((high[:, other] > low[:, mine]) & (low[:, other] < high[:, mine])).all(0)
-        found.append(other[meet])
-        count += torch.bincount(mine[meet], minlength=len(count))
-    return count.cumsum(0) - count, count, torch.cat(found)
+    others = [begin[:0]]
+    count = torch.zeros_like(rivals)
+    for own, offset in expand(rivals):
+        other = begin[own] + offset
+        meet = (own != other) & (most[other] >= least[own] - 1)
+        meet &= ((high[:, other] > low[:, own]) & (low[:, other] < high[:, own])).all(0)
+        others.append(other[meet])
+        count += torch.bincount(own[meet], minlength=len(count))
+    return count.cumsum(0) - count, count, torch.cat(others)
 
 
-def _nearer(pieces: Pieces, name: Tensor, one: Tensor, other: Tensor) -> Line:
+def _nearer(pieces: Pieces, name: Tensor, first: Tensor, second: Tensor) -> Line:
     """Compute the line on whose inner side pieces are nearer than others; equal depths go to the lower id."""
-    c, a, b = pieces.plane[:, one] - pieces.plane[:, other]
+    c, a, b = pieces.plane[:, first] - pieces.plane[:, second]
     scale = torch.sqrt(a * a + b * b)
     even = scale == 0
-    lower = torch.where(name[one] < name[other], 1.0, -1.0)
+    lower = torch.where(name[first] < name[second], 1.0, -1.0)
     scale = torch.where(even, 1.0, scale)
     return a / scale, b / scale, torch.where(even & (c == 0), lower, c / scale)
 
@@ -103,7 +111,8 @@ def _subtract(
     """Subtract from each polygon a convex area, given by its sides; also returns the polygon that each part is of."""
     meet = torch.stack([(distances(shape, line) > 0).any(0) for line in hiding]).all(0)
     apart, own = (~meet).nonzero().view(-1), meet.nonzero().view(-1)
-    shapes, owners, rest = [shape.index_select(-1, apart)], [apart], shape.index_select(-1, own)
+    shapes, owners = [shape.index_select(-1, apart)], [apart]
+    rest = shape.index_select(-1, own)
     for line in hiding:
         a, b, c = (t.index_select(0, own) for t in line)
         outside = inner_part(rest, (-a, -b, -c))

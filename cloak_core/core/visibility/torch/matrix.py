@@ -12,18 +12,18 @@ from cloak_core.core.visibility.torch.shading import light_fragments
 
 
 def build_view(
-    found: Fragments,
+    fragments: Fragments,
     screen: Screen,
     surface: Surface,
     normals: Float32[Tensor, "3 V"],
     light_position: Float32[Tensor, " 3"],
 ) -> View:
     """See `Backend.build_view`."""
-    weight, highlight, uv, cloth = light_fragments(found, screen, surface, normals, light_position)
-    face = surface.face.index_select(0, found.triangle)
-    pixels, row = torch.unique_consecutive(found.pixel, return_inverse=True)
+    weight, highlight, uv, cloth = light_fragments(fragments, screen, surface, normals, light_position)
+    face = surface.face.index_select(0, fragments.triangle)
+    pixels, row = torch.unique_consecutive(fragments.pixel, return_inverse=True)
     coverage, specular = (
-        torch.zeros(len(pixels), device=row.device).index_add_(0, row, t) for t in (found.area, highlight)
+        torch.zeros(len(pixels), device=row.device).index_add_(0, row, t) for t in (fragments.area, highlight)
     )
     if surface.by_face:
         row, face, weight = _merge_faces(row, face, weight)

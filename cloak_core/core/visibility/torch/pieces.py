@@ -86,5 +86,8 @@ def _cut_to_pixels(triangles: Triangles, own: Tensor, column: Tensor, row: Tenso
 
 def from_corner(triangles: Triangles, own: Tensor, left: Tensor, top: Tensor) -> Float64[Tensor, "3 2 P"]:
     """Triangles' corners in pixels, from the corner of a pixel (grid units)."""
-    at = lambda t, origin: (t.index_select(1, own) - origin).to(torch.float64) / GRID
-    return torch.stack([at(triangles.x, left), at(triangles.y, top)], 1)
+
+    def pixels(coordinate: Tensor, origin: Tensor) -> Tensor:
+        return (coordinate.index_select(1, own) - origin).to(torch.float64) / GRID
+
+    return torch.stack([pixels(triangles.x, left), pixels(triangles.y, top)], 1)

@@ -29,8 +29,8 @@ def cut(
     inside, crossing = distance >= 0, distance * following < 0
     start, end = (torch.where(inside.unsqueeze(1), *pair) for pair in ((corners, after), (after, corners)))
     inner, outer = (torch.where(inside, *pair) for pair in ((distance, following), (following, distance)))
-    share = torch.where(crossing, inner / torch.where(crossing, inner - outer, 1.0), 0.0).unsqueeze(1)
-    points = torch.stack([corners, start + share * (end - start)], 1).flatten(0, 1)
+    fraction = torch.where(crossing, inner / torch.where(crossing, inner - outer, 1.0), 0.0).unsqueeze(1)
+    points = torch.stack([corners, start + fraction * (end - start)], 1).flatten(0, 1)
     emitted = torch.stack([inside, crossing], 1).flatten(0, 1)
     count = emitted.sum(0)
     # Emitted points move up to the front; behind them the last stands again.

@@ -54,7 +54,8 @@ def _packed(triangles: Triangles, own: Tensor, x: Tensor, y: Tensor) -> tuple[Te
     owns them where it is on the left.
     """
     e1, e2, area = triangles.edges(own, x, y)
-    e0, left = area - e1 - e2, (triangles.y[1] > triangles.y[2]).index_select(0, own)
+    e0 = area - e1 - e2
+    left = (triangles.y[1] > triangles.y[2]).index_select(0, own)
     inside = (e1 >= 0) & (e2 > 0) & ((e0 > 0) | ((e0 == 0) & left))
     depth = (triangles.inverse_depth_at(own, x, y) * (1 << DEPTH_BITS)).to(torch.int64).clamp(0, LIMIT)
     return ((LIMIT - depth) << ID_BITS) | triangles.ids.index_select(0, own), inside

@@ -16,13 +16,13 @@ from cloak_core.core.visibility.texture import texture_coordinates
 
 
 def light_fragments(
-    found: Fragments, screen: Screen, surface: Surface, normals: Tensor, light_position: Tensor
+    fragments: Fragments, screen: Screen, surface: Surface, normals: Tensor, light_position: Tensor
 ) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"], Float32[Tensor, "2 N"] | None, Float32[Tensor, "4 N"] | None]:
     """Light every fragment: weight of the face's colour and highlight, each times its share of the pixel; and where
     there are textures or a cloth, coordinates of the point where each fragment is lit, on the cloth its extent, too.
     Worked out in float64."""
-    corner = surface.triangles.index_select(1, found.triangle)
-    position, weights, crosses, total = _surface_points(found, screen, corner)
+    corner = surface.triangles.index_select(1, fragments.triangle)
+    position, weights, crosses, total = _surface_points(fragments, screen, corner)
     w0, w1, w2 = weights
     n0, n1, n2 = (normals.double().index_select(1, corner[i]) for i in range(3))
     weight, highlight = shade(
@@ -30,13 +30,13 @@ def light_fragments(
     )
     uv = cloth = None
     if surface.corner_uv is not None:
-        uv = texture_coordinates(surface.corner_uv.index_select(2, found.triangle), w1.float(), w2.float())
+        uv = texture_coordinates(surface.corner_uv.index_select(2, fragments.triangle), w1.float(), w2.float())
     if surface.corner_cloth is not None:
-        corners = surface.corner_cloth.index_select(2, found.triangle)
-        side = found.area.double().sqrt() / screen.focal[0]
+        corners = surface.corner_cloth.index_select(2, fragments.triangle)
+        side = fragments.area.double().sqrt() / screen.focal[0]
         extent = _extents(corners.double(), weights, crosses, total, side).float()
         cloth = torch.cat([texture_coordinates(corners, w1.float(), w2.float(), inset=0.0), extent])
-    return (weight * found.area).float(), (highlight * found.area).float(), uv, cloth
+    return (weight * fragments.area).float(), (highlight * fragments.area).float(), uv, cloth
 
 
 def _extents(
@@ -55,7 +55,7 @@ def _extents(
 
 
 def _surface_points(
-    found: Fragments, screen: Screen, corner: Int64[Tensor, "3 N"]
+    fragments: Fragments, screen: Screen, corner: Int64[Tensor, "3 N"]
 ) -> tuple[Float64[Tensor, "3 N"], Float64[Tensor, "3 N"], Float64[Tensor, "3 3 N"], Float64[Tensor, " N"]]:
     """Intersect the rays through fragments' points with their triangles: points in view space, weights of the corners;
     and what these come from: corners' crosses, and the sum of their products with the ray.
@@ -64,7 +64,7 @@ def _surface_points(
     """
     a, b, c = (torch.stack([axis[0].index_select(0, corner[i]) for axis in screen.view]) for i in range(3))
     focal = screen.focal[0]
-    dx, dy = (found.x - screen.width / 2) / focal, (screen.height / 2 - found.y) / focal
+    dx, dy = (fragments.x - screen.width / 2) / focal, (screen.height / 2 - fragments.y) / focal
     ray = torch.stack([dx, dy, torch.ones_like(dx)])
     # d . (b x c) and so on, proportional to the perspective-correct weights of the corners.
     crosses = torch.stack([torch.linalg.cross(p, q, dim=0) for p, q in ((b, c), (c, a), (a, b))])
