@@ -77,15 +77,18 @@ def baked_view(
     for name, index, limit in (("pixel", pixel, count), ("face", face, logo_count)):
         if len(index) and not 0 <= int(index.min()) <= int(index.max()) < limit:
             raise ValueError(f"{name}: {int(index.min())} .. {int(index.max())} is not within 0 .. {limit - 1}")
-    device, cover = pixel.device, torch.ones(count) if coverage is None else coverage.reshape(-1).float()
+    device = pixel.device
+    cover = torch.ones(count) if coverage is None else coverage.reshape(-1).float()
     cover = cover.to(device)
     per_pixel = torch.bincount(pixel, minlength=count)
     kind = torch.where(per_pixel > 0, 0, torch.where(cover <= 0, 3, torch.where(cover < 1, 1, 2)))
     logo, edge, inside = ((kind == one).nonzero()[:, 0] for one in range(3))
-    pixels, key = torch.cat([logo, edge, inside]), pixel * logo_count + face
+    pixels = torch.cat([logo, edge, inside])
+    key = pixel * logo_count + face
     if (key[1:] < key[:-1]).any():
         entry = torch.argsort(key, stable=True)
-        face, weight = face[entry], weight[entry]
+        face = face[entry]
+        weight = weight[entry]
     known = (cover >= 0.5).view(height, width) if mask is None else mask
     return BakedView(
         height,

@@ -81,7 +81,9 @@ class Batcher:
         techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
         """Make what builds batches of the sampler's draws."""
-        self.sampler, self.source, self.backgrounds = sampler, sampler.source, backgrounds
+        self.sampler = sampler
+        self.source = sampler.source
+        self.backgrounds = backgrounds
         self.augmentation, self.size = settings.augmentation, settings.views.size
         self.worn, self.device, self.techniques = worn, device, techniques
 
@@ -94,7 +96,7 @@ class Batcher:
             return Batch(empty, None, None, Distortions())
         # Threads that only look views up would wait for each other.
         count = workers(self.device) if self.source.is_fresh else 1
-        views = spread(lambda one: self.source.view(*one), draws.views(), count)
+        views = spread(lambda drawn: self.source.view(*drawn), draws.views(), count)
         rows = blank(len(views), size, size, self.device)
         lay_backdrop(rows, [self.backgrounds.image(index, (size, size)) for index in draws.background.tolist()])
         # A photograph is moved by the part of it that is shown.

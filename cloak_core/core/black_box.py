@@ -169,7 +169,7 @@ class Search(TrainingLoop):
         return SearchResult(**vars(result), queries=queries_after(self.step, self.cost), curve=curve)
 
     @torch.no_grad()
-    def _gradient(self, batch: Batch, share: float) -> Step:
+    def _gradient(self, batch: Batch, part: float) -> Step:
         """Ask about new images to either side of the colours; the difference is the gradient."""
         colors = self.optimizer.finished()
         if self.step % EVERY == 0:

@@ -38,8 +38,12 @@ class Coloring:
             self._patch = self._patch.to(first.device)
         if self._tone:
             values = torch.from_numpy(self._untoned(values.cpu().numpy())).to(first)
-        chosen = [torch.from_numpy(one.first_rows(self._untoned)).to(first) for one in self._choose if one.rows]
-        rows = [values.new_zeros(one.rows, 3) for one in self._free]
+        chosen = [
+            torch.from_numpy(technique.first_rows(self._untoned)).to(first)
+            for technique in self._choose
+            if technique.rows
+        ]
+        rows = [values.new_zeros(technique.rows, 3) for technique in self._free]
         return torch.cat([*rows, *map(self._raw, [values, *chosen])])
 
     def __call__(self, parameter: Float[Tensor, "P 3"], is_final: bool = False) -> Float[Tensor, "C 3"]:
@@ -82,7 +86,8 @@ class Coloring:
         for technique, rows in zip(self._free, parts, strict=False):
             values = technique.free(values, rows)
         if self.is_sigmoid:
-            values, chosen = torch.sigmoid(values), tuple(map(torch.sigmoid, chosen))
+            values = torch.sigmoid(values)
+            chosen = tuple(map(torch.sigmoid, chosen))
         for technique in self._mix:
             values = technique.mix(values)
         return values, chosen

@@ -66,7 +66,8 @@ def measure_frozen(
     """
     # Of more backgrounds than are looked at, a draw by the seed.
     order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(renderer.background_names))
-    bare, controls = np.sort(order[: settings.bare]), controls or all_controls(settings)
+    bare = np.sort(order[: settings.bare])
+    controls = controls or all_controls(settings)
     with kept_frozen(detectors) as hashes:
         results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
     return results, hashes

@@ -112,17 +112,19 @@ def inner_edges(
     ends = np.stack([loop_vertices, loop_vertices[next_corner(loop_total)]], axis=1).astype(np.int64)
     ends.sort(axis=1)
     owner = position[np.repeat(face, loop_total)]
-    ends, owner = ends[owner >= 0], owner[owner >= 0]
+    ends = ends[owner >= 0]
+    owner = owner[owner >= 0]
     order = np.lexsort((owner, ends[:, 1], ends[:, 0]))
-    ends, owner = ends[order], owner[order]
-    found = []
+    ends = ends[order]
+    owner = owner[order]
+    matches = []
     # Equal edges lie side by side now: compare each with the next, then the one after, until none is equal.
     for step in range(1, len(ends)):
         same = np.flatnonzero((ends[step:] == ends[:-step]).all(axis=1))
         if not len(same):
             break
-        found.append(np.stack([same, same + step], axis=1))
-    pairs = np.concatenate(found) if found else np.zeros((0, 2), np.int64)
+        matches.append(np.stack([same, same + step], axis=1))
+    pairs = np.concatenate(matches) if matches else np.zeros((0, 2), np.int64)
     pairs = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
     a, b = (bodies.vertices[0][ends[pairs[:, 0], side]].astype(np.float64) for side in (0, 1))
     return owner[pairs], np.linalg.norm(a - b, axis=1)

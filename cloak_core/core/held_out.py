@@ -92,7 +92,7 @@ class HeldOut:
         for step in range(sampler.steps):
             batch = self.batcher.batch(step, self.world.rank, self.world.size)
             if len(batch):
-                said = self.objective.forward_backward(batch.images(colors), bodies=batch.bodies)
-                total += len(batch) * torch.stack([said.disappearance, said.success]).double()
+                result = self.objective.forward_backward(batch.images(colors), bodies=batch.bodies)
+                total += len(batch) * torch.stack([result.disappearance, result.success]).double()
         seen, success = (self.world.sum(total) / sampler.images).tolist()
         return seen, success

@@ -51,12 +51,12 @@ class Logo:
 
 def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
     """Make a logo of these faces (any order). InputError: none, duplicates, or ids that the body lacks."""
-    given = np.asarray(face_ids)
-    if given.ndim != 1 or not given.size or given.dtype.kind not in "iu":
-        raise InputError(f"a logo is a row of face ids, not {given.dtype} of shape {given.shape}")
-    ids = np.unique(given).astype(np.int64)
-    if len(ids) != len(given):
-        raise InputError(f"a logo names each face once; {len(given) - len(ids)} of {len(given)} ids are repeated")
+    listed = np.asarray(face_ids)
+    if listed.ndim != 1 or not listed.size or listed.dtype.kind not in "iu":
+        raise InputError(f"a logo is a row of face ids, not {listed.dtype} of shape {listed.shape}")
+    ids = np.unique(listed).astype(np.int64)
+    if len(ids) != len(listed):
+        raise InputError(f"a logo names each face once; {len(listed) - len(ids)} of {len(listed)} ids are repeated")
     if ids[0] < 0 or ids[-1] >= bodies.face_count:
         beyond = ids[0] if ids[0] < 0 else ids[-1]
         raise InputError(f"face id {beyond} is beyond the {bodies.face_count} faces of scene '{bodies.name}'")
@@ -109,7 +109,8 @@ def region_mask(bodies: Bodies, term: str) -> Bool[np.ndarray, " faces"]:
     """Select the faces of one term of a region expression."""
     name, dash, facet = term.rpartition("-")
     if term in bodies.regions or not dash or facet not in FACETS:
-        name, facet = term, "front" if term in FRONT_BY_DEFAULT else "all"
+        name = term
+        facet = "front" if term in FRONT_BY_DEFAULT else "all"
     if name not in bodies.regions:
         known = ", ".join(bodies.regions) or "none"
         raise InputError(f"region '{term}' is unknown; scene '{bodies.name}' has: {known}")

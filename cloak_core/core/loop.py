@@ -102,7 +102,8 @@ class TrainingLoop:
     ) -> None:
         self.run, self.batcher, self.objective = run, batcher, objective
         self.techniques = objective.techniques
-        self.settings, self.sampler = settings, batcher.sampler
+        self.settings = settings
+        self.sampler = batcher.sampler
         self.optimizer, self.held_out, self.world = optimizer, held_out, world
         self.step = 0
         self._earlier = 0.0
@@ -136,7 +137,8 @@ class TrainingLoop:
         )
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
-        figures, reason = None, ""
+        figures = None
+        reason = ""
         changes = {"changes": self.run.changes} if self.run.changes else {}
         self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged, **changes)
         try:
@@ -196,8 +198,8 @@ class TrainingLoop:
         lr = learning_rate(self.settings.optimization, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
         self.optimizer.reach(self.step, self.sampler.steps)
         batch = self.batches.batch(self.step)
-        share = len(batch) / self.sampler.images_of(self.step)
-        step = self._gradient(batch, share)
+        part = len(batch) / self.sampler.images_of(self.step)
+        step = self._gradient(batch, part)
         if not step.is_finite:
             self._refuse(step)
         self._watch(step)
@@ -210,9 +212,9 @@ class TrainingLoop:
             self._tell("preview", path=f"previews/{path.name}")
         return step.figures
 
-    def _gradient(self, batch: Batch, share: float) -> Step:
-        """Leave the gradient of a batch in the optimizer. `share`: this process's part of the batch's images."""
-        return gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
+    def _gradient(self, batch: Batch, part: float) -> Step:
+        """Leave the gradient of a batch in the optimizer. `part`: this process's fraction of the batch's images."""
+        return gradient_step(self.objective, self.optimizer, batch, self.world, part, self.step)
 
     def _facts(self, lr: float) -> dict[str, object]:
         """Say what the event of a step holds beside its figures."""
@@ -234,8 +236,8 @@ class TrainingLoop:
     def _refuse(self, step: Step) -> None:
         names = [
             self.objective.detectors[number].spec
-            for number, said in step.detections.items()
-            if not (torch.isfinite(said.scores).all() and torch.isfinite(said.boxes).all())
+            for number, detections in step.detections.items()
+            if not (torch.isfinite(detections.scores).all() and torch.isfinite(detections.boxes).all())
         ]
         blame = f"; not finite: the output of {', '.join(names)}" if names else ""
         what = "its loss" if not np.isfinite(step.figures.loss) else "the gradient of its loss"

@@ -107,14 +107,14 @@ class _VariationByLoop(torch.autograd.Function):
 def _variation(colors: np.ndarray, edges: np.ndarray, lengths: np.ndarray, gradient: np.ndarray) -> float:
     total = 0.0
     for edge in range(len(edges)):
-        one, other = edges[edge, 0], edges[edge, 1]
-        share = lengths[edge] / np.float32(len(colors))
+        first, second = edges[edge, 0], edges[edge, 1]
+        weight = lengths[edge] / np.float32(len(colors))
         for channel in range(3):
-            difference = colors[one, channel] - colors[other, channel]
-            total += share * abs(difference)
-            push = share * np.sign(difference)
-            gradient[one, channel] += push
-            gradient[other, channel] -= push
+            difference = colors[first, channel] - colors[second, channel]
+            total += weight * abs(difference)
+            push = weight * np.sign(difference)
+            gradient[first, channel] += push
+            gradient[second, channel] -= push
     return total
 
 

@@ -46,7 +46,8 @@ class Objective:
         device: torch.device,
         techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
-        self.settings, self.run, self.detectors = settings.objective, settings.run, detectors
+        self.settings, self.run = settings.objective, settings.run
+        self.detectors = detectors
         self.techniques = techniques
         self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
@@ -81,8 +82,8 @@ class Objective:
         """
         groups = self.ensemble.asked(step)
         asked = [number for group in groups for number in group]
-        said: dict[int, list[Detections]] = {number: [] for number in asked}
-        disappearance, found = images.new_zeros(()), images.new_zeros(())
+        answers: dict[int, list[Detections]] = {number: [] for number in asked}
+        disappearance, reported = images.new_zeros(()), images.new_zeros(())
         gradients: list[Tensor] = []
         size = self.run.microbatch or max(len(images), 1)
         for first in range(0, len(images), size):
@@ -97,13 +98,13 @@ class Objective:
                     loss.backward()
                 disappearance += loss.detach()
                 for number, detections in detected.items():
-                    said[number].append(join_detections([detections]))
-                    found += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
+                    answers[number].append(join_detections([detections]))
+                    reported += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
             if part.grad is not None:
                 gradients.append(part.grad)
-        detections = {number: join_detections(parts) for number, parts in said.items() if parts}
+        detections = {number: join_detections(parts) for number, parts in answers.items() if parts}
         gradient = torch.cat(gradients) if len(gradients) > 1 else next(iter(gradients), None)
-        return LossAndGradient(disappearance, 1 - found, gradient, detections)
+        return LossAndGradient(disappearance, 1 - reported, gradient, detections)
 
     def detect(
         self,
@@ -174,21 +175,22 @@ def gradient_step(
     optimizer: ColorOptimizer,
     batch: Batch,
     world: World = ALONE,
-    share: float = 1.0,
+    part: float = 1.0,
     step: int = 0,
 ) -> Step:
-    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images."""
+    """Leave the gradient of one batch in `optimizer`. `part`: this process's fraction of the batch's images."""
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)
-    found = objective.forward_backward(images, step, batch.bodies, batch.company)
-    variation, weight = objective.total_variation(colors), objective.settings.tv_weight
+    result = objective.forward_backward(images, step, batch.bodies, batch.company)
+    variation = objective.total_variation(colors)
+    weight = objective.settings.tv_weight
     penalty_weight, penalty = objective.penalty(colors)
     restless = (weight * variation + penalty_weight * penalty) / world.size
-    gradient = torch.zeros_like(images) if found.gradient is None else found.gradient
-    torch.autograd.backward([images, restless], [gradient if share == 1 else gradient.mul_(share), None])
+    gradient = torch.zeros_like(images) if result.gradient is None else result.gradient
+    torch.autograd.backward([images, restless], [gradient if part == 1 else gradient.mul_(part), None])
     gradient = optimizer.gradient
-    shares = [share * found.disappearance, variation / world.size, penalty / world.size, share * found.success]
+    shares = [part * result.disappearance, variation / world.size, penalty / world.size, part * result.success]
     values = torch.stack(shares).detach()
     if world.size > 1:
         message = world.sum(torch.cat([gradient.view(-1), values]))
@@ -199,4 +201,4 @@ def gradient_step(
     seen, variation, penalty, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
     loss = seen + weight * variation + penalty_weight * penalty
     figures = StepFigures(loss, seen, variation, penalty, success)
-    return Step(figures, bool(is_finite), images.detach(), found.detections)
+    return Step(figures, bool(is_finite), images.detach(), result.detections)

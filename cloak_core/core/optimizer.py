@@ -57,9 +57,11 @@ class ColorOptimizer:
         self._parameter = self._coloring.begin(initial).requires_grad_()
         movers = [technique for technique in techniques.at("move") if technique.choice[1] == settings.optimizer]
         if movers:
-            self._move, self._names = movers[0].move, set(movers[0].memory)
+            self._move = movers[0].move
+            self._names = set(movers[0].memory)
         elif settings.optimizer == "adam":
-            self._move, self._names = _adam, {"exp_avg", "exp_avg_sq"}
+            self._move = _adam
+            self._names = {"exp_avg", "exp_avg_sq"}
         elif settings.optimizer == "sgd":
             self._move = partial(_sgd, momentum=settings.momentum)
             self._names = {"momentum_buffer"} if settings.momentum else set()

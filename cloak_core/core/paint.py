@@ -101,14 +101,14 @@ class Canvas:
     ) -> Canvas:
         """Composite B bodies without their logo over the backgrounds in `rows` (see `blank`), in place."""
         _check(views, (len(views), views[0].height, views[0].width))
-        way = backend(rows.device)
+        stage = backend(rows.device)
         scale = None
         if any(view.light_color != (1.0, 1.0, 1.0) for view in views):
             scale = torch.tensor([[view.light_color] for view in views], device=rows.device)
         if photometric is not None:
             scale = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale)
-        base, target = way.draw_bodies(views, rows, shifts, photometric)
-        logo = way.logo_matrix(views)
+        base, target = stage.draw_bodies(views, rows, shifts, photometric)
+        logo = stage.logo_matrix(views)
         shape = (len(views), 3, views[0].height, views[0].width)
         return Canvas(rows, shape, base, target, logo, scale, views[0].map.width)
 
@@ -123,8 +123,8 @@ class Canvas:
         return _Paint.apply(colors, self)
 
 
-def _check(views: Sequence[BakedView], wanted: tuple[int, int, int]) -> None:
-    if len(views) != wanted[0] or any((view.height, view.width) != wanted[1:] for view in views):
+def _check(views: Sequence[BakedView], expected: tuple[int, int, int]) -> None:
+    if len(views) != expected[0] or any((view.height, view.width) != expected[1:] for view in views):
         raise ValueError("views and backgrounds differ in number or size")
     if any(view.map.width != views[0].map.width for view in views):
         raise ValueError("views are baked for logos of different sizes")
@@ -146,7 +146,8 @@ class _Paint(torch.autograd.Function):
     @staticmethod
     def forward(ctx: object, colors: Float32[Tensor, "*B L 3"], canvas: Canvas) -> Float32[Tensor, "B 3 H W"]:
         kept = canvas.logo.paint(colors, canvas.base, canvas.target, canvas.rows)
-        ctx.shape, ctx.logo = colors.shape, canvas.logo
+        ctx.shape = colors.shape
+        ctx.logo = canvas.logo
         ctx.save_for_backward(*kept)
         # Loops write without torch noticing: mark the tensor as changed for graphs that saved its old value.
         increment_version(canvas.rows)

@@ -55,7 +55,8 @@ def _ways(bodies: Bodies, logo: Logo) -> csr_matrix:
 def _spread(ways: csr_matrix, size: float) -> Int64[np.ndarray, " P"]:
     """Choose faces at least `size` apart, none farther than that from the nearest; always the same ones for a logo."""
     order = np.random.default_rng(0).permutation(ways.shape[0])
-    is_near, chosen = np.zeros(ways.shape[0], bool), []
+    is_near = np.zeros(ways.shape[0], bool)
+    chosen = []
     for face in order:
         if not is_near[face]:
             chosen.append(face)

@@ -50,11 +50,11 @@ def per_corner(bodies: Bodies, values: Integer[np.ndarray, "triangles 3"]) -> Co
     """
     loop_total, loop_vertices, face = polygon_loops(bodies)
     base = bodies.vertex_count
-    wanted = np.repeat(face, loop_total) * base + loop_vertices
+    keys = np.repeat(face, loop_total) * base + loop_vertices
     known, first = np.unique(
         bodies.triangle_face.astype(np.int64)[:, None] * base + bodies.triangles, return_index=True
     )
-    return values.reshape(-1)[first[np.searchsorted(known, wanted)]]
+    return values.reshape(-1)[first[np.searchsorted(known, keys)]]
 
 
 def triangulate(
@@ -89,17 +89,17 @@ def triangulate(
 
 def split_quads(quads: Float[np.ndarray, "quads 4 3"]) -> Integer[np.ndarray, "quads 2 3"]:
     """Split each quad: the corner numbers of its two triangles."""
-    ways = np.array([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]])
+    splits = np.array([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]])
     diagonals = quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]
     normal = np.cross(*diagonals)
     inside, length = [], []
-    for way, diagonal in zip(ways, diagonals, strict=True):
-        a, b, c = (quads[:, way[:, corner]] for corner in range(3))
+    for split, diagonal in zip(splits, diagonals, strict=True):
+        a, b, c = (quads[:, split[:, corner]] for corner in range(3))
         facing = (np.cross(b - a, c - a) * normal[:, None]).sum(axis=2)
         inside.append((facing > 0).all(axis=1))
         length.append((diagonal**2).sum(axis=1))
     second = np.where(inside[0] == inside[1], length[1] < length[0], inside[1])
-    return ways[second.astype(int)]
+    return splits[second.astype(int)]
 
 
 def clip_ears(polygon: Float[np.ndarray, "corners 3"]) -> Integer[np.ndarray, "triangles 3"]:

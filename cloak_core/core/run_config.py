@@ -52,7 +52,8 @@ def check_same(recorded: dict, config: dict, path: Path) -> None:
     What versions before this one did not record is not compared.
     """
     for part in DECISIVE:
-        old, new = recorded.get(part), config[part]
+        old = recorded.get(part)
+        new = config[part]
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.
             try:
@@ -69,16 +70,16 @@ def check_same(recorded: dict, config: dict, path: Path) -> None:
 
 def changes_around(recorded: dict, config: dict) -> list[str]:
     """List differences from the recorded run that move the last bits of the result at most."""
-    found = []
+    changes = []
     if recorded.get("code") != config["code"]:
-        found.append(f"other code (of Cloak {recorded.get('cloak', 'unknown')})")
+        changes.append(f"other code (of Cloak {recorded.get('cloak', 'unknown')})")
     pairs = [(recorded.get("environment"), {name: config["environment"][name] for name in AROUND})]
     old = recorded.get("detectors")
     pairs += [(o.get("packages"), n["packages"]) for o, n in zip(old or [], config["detectors"], strict=True)]
     for before, now in pairs:
         before = before if isinstance(before, dict) else {}
-        found += [f"{k} {before[k]} instead of {now[k]}" for k in now if k in before and before[k] != now[k]]
-    return list(dict.fromkeys(found))
+        changes += [f"{k} {before[k]} instead of {now[k]}" for k in now if k in before and before[k] != now[k]]
+    return list(dict.fromkeys(changes))
 
 
 def _only(keys: Sequence[str], value: object) -> object:
@@ -98,4 +99,4 @@ def _difference(name: str, old: object, new: object) -> tuple[str, object, objec
         pairs = [(f"{name}[{i}]", *both) for i, both in enumerate(zip(old, new, strict=True))]
     elif old != new:
         return name, old, new
-    return next((found for pair in pairs if (found := _difference(*pair))[0]), ("", None, None))
+    return next((difference for pair in pairs if (difference := _difference(*pair))[0]), ("", None, None))

@@ -250,14 +250,22 @@ def discovered() -> tuple[type[Technique], ...]:
 
 def choices(setting: str) -> tuple[str, ...]:
     """List the words that techniques add to a setting."""
-    return tuple(one.choice[1] for one in discovered() if one.choice is not None and one.choice[0] == setting)
+    return tuple(
+        technique.choice[1]
+        for technique in discovered()
+        if technique.choice is not None and technique.choice[0] == setting
+    )
 
 
 def with_techniques(group: str) -> Callable[[type], type]:
     """Join the settings of a group's techniques to the core's dataclass, after its own."""
 
     def join(core: type) -> type:
-        parts = [one.settings for one in discovered() if one.group == group and one.settings is not None]
+        parts = [
+            technique.settings
+            for technique in discovered()
+            if technique.group == group and technique.settings is not None
+        ]
         # Dataclasses list the fields of the last base first.
         names = {name: getattr(core, name) for name in ("__doc__", "__module__", "__qualname__")}
         whole = type(core.__name__, (*reversed(parts), core), names)

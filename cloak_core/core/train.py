@@ -75,8 +75,11 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
     batcher = make_batcher(drawn, job.trained, worn, device, techniques)
     first = torch.from_numpy(job.first).to(device)
     with contextlib.ExitStack() as stack:
-        folder = lambda: stack.enter_context(open_run(out, job.config, worn.logo, resume))
-        run = world.on_rank0(folder) or RunFolder(out)
+
+        def enter_folder() -> RunFolder:
+            return stack.enter_context(open_run(out, job.config, worn.logo, resume))
+
+        run = world.on_rank0(enter_folder) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
         objective = Objective(drawn, worn.bordered, job.detectors, device, techniques)
         if search is None:

@@ -56,7 +56,8 @@ class World:
         """Do `work` on rank 0; an InputError of it is raised everywhere, with the same message."""
         if self.size == 1:
             return work()
-        result, message = None, ""
+        result = None
+        message = ""
         if self.is_first:
             try:
                 result = work()

@@ -73,8 +73,8 @@ def found_as_person(
     at least the share `within` of its own area does: of the body's box, or of `masks` (True on the person).
     """
     fits = box_iou(boxes, bodies[:, None].to(boxes)) >= iou
-    share = share_within(boxes, bodies) if masks is None else share_within_mask(boxes, masks)
-    return fits | (share >= within)
+    inside = share_within(boxes, bodies) if masks is None else share_within_mask(boxes, masks)
+    return fits | (inside >= within)
 
 
 def share_within(boxes: Float[Tensor, "B N 4"], bodies: Float[Tensor, "B 4"]) -> Float[Tensor, "B N"]:

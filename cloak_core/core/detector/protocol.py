@@ -74,7 +74,8 @@ class Detector(nn.Module):
         super().__init__()
         self.name = name
         self.spec = spec
-        self.source, self.packages = {}, ()
+        self.source = {}
+        self.packages = ()
         self._not_finite: Tensor | None = None
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
@@ -83,18 +84,18 @@ class Detector(nn.Module):
         InputError: a box is not finite. On a GPU, which is not waited for, `verify` says so.
         """
         if self.precision == "float32":
-            found = self.detect(images)
+            detections = self.detect(images)
         else:
             with torch.autocast(images.device.type, torch.bfloat16):
-                found = self.detect(images)
-            parts = (part if part is None or not part.is_floating_point() else part.float() for part in found)
-            found = Detections(*parts)
-        broken = ~found.boxes.detach().isfinite().all()
+                detections = self.detect(images)
+            parts = (part if part is None or not part.is_floating_point() else part.float() for part in detections)
+            detections = Detections(*parts)
+        broken = ~detections.boxes.detach().isfinite().all()
         if broken.device.type == "cpu":
             self._require_finite(broken)
         else:
             self._not_finite = broken if self._not_finite is None else self._not_finite | broken
-        return found
+        return detections
 
     def _require_finite(self, broken: Tensor | None) -> None:
         if broken is not None and bool(broken):

@@ -91,9 +91,10 @@ def unseen_bodies(value: float, bodies: int, level: float = LEVEL) -> tuple[floa
 
 def cells(hits: np.ndarray, labels: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Count hits and images of every cell, float [seeds, bodies, backgrounds] each."""
-    columns = [np.unique(way, return_inverse=True)[1].ravel() for way in labels]
+    columns = [np.unique(label, return_inverse=True)[1].ravel() for label in labels]
     shape = tuple(int(column.max()) + 1 for column in columns)
-    flat, size = np.ravel_multi_index(columns, shape), math.prod(shape)
+    flat = np.ravel_multi_index(columns, shape)
+    size = math.prod(shape)
     hit = np.bincount(flat, weights=hits, minlength=size).reshape(shape)
     return hit, np.bincount(flat, minlength=size).reshape(shape).astype(float)
 
@@ -102,7 +103,8 @@ def bootstrap_interval(
     hit: np.ndarray, count: np.ndarray, resamples: int, level: float, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Compute the pigeonhole bootstrap's interval, stretched to the multiway clustered deviation."""
-    value, n = hit.sum() / count.sum(), count.sum()
+    value = hit.sum() / count.sum()
+    n = count.sum()
     draws = _pigeonhole(hit, count, resamples, rng)
     low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
     stretch = clustered_deviation(hit - value * count, level) / n / max(float(draws.std()), 1e-12)
@@ -127,11 +129,11 @@ def clustered_deviation(residual: np.ndarray, level: float) -> float:
     """Compute the multiway clustered deviation of the number of hits; `residual` is each cell's excess."""
     upper = (1 + level) / 2
     z = NormalDist().inv_cdf(upper)
-    ways = [way for way, n in enumerate(residual.shape) if n > 1]
+    axes = [axis for axis, n in enumerate(residual.shape) if n > 1]
     variance, largest = 0.0, 0.0
-    for order in range(1, len(ways) + 1):
-        for kept in itertools.combinations(ways, order):
-            others = tuple(way for way in range(residual.ndim) if way not in kept)
+    for order in range(1, len(axes) + 1):
+        for kept in itertools.combinations(axes, order):
+            others = tuple(axis for axis in range(residual.ndim) if axis not in kept)
             part = float((residual.sum(others) ** 2).sum())
             if order == 1:
                 n = residual.shape[kept[0]]

@@ -47,7 +47,8 @@ def measure(
     controls: the first is the trained logo. bare: backgrounds looked at with nobody in front. batch: images at once.
     The boxes of the result have corners.
     """
-    judges, progress = list(detectors.values()), Progress(len(renderer.trials) * len(controls) + len(bare), on_progress)
+    judges = list(detectors.values())
+    progress = Progress(len(renderer.trials) * len(controls) + len(bare), on_progress)
     scores, boxes, true = _judge_trials(renderer, judges, controls, batch, progress, on_images)
     return make_results(
         {spec: float(detector.operating_point) for spec, detector in detectors.items()},
@@ -73,8 +74,8 @@ def kept_frozen(detectors: Mapping[str, Detector]) -> Iterator[dict[str, str]]:
 
 def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float] | None = None) -> None:
     """Refuse an evaluation without a detector, or without an angle where there are angles (InputError)."""
-    for option, given in (("--detector", detectors), ("--angles", (0.0,) if angles is None else angles)):
-        if not len(given):
+    for option, named in (("--detector", detectors), ("--angles", (0.0,) if angles is None else angles)):
+        if not len(named):
             raise InputError(f"{option}: none given")
 
 
@@ -87,7 +88,8 @@ class Progress:
     """Count images, and tell how many are done."""
 
     def __init__(self, total: int, on_progress: OnProgress | None) -> None:
-        self.done, self.total, self.on_progress = 0, total, on_progress
+        self.done = 0
+        self.total, self.on_progress = total, on_progress
 
     def advance(self, images: int) -> None:
         """Count these images as done."""
@@ -114,29 +116,30 @@ def _judge_trials(
     count = len(renderer.trials)
     shape = len(detectors), len(controls), count
     scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
-    scores["other_name"], true_boxes, found = np.full(shape, "", object), np.zeros((count, 4), np.float32), []
+    scores["other_name"], true_boxes = np.full(shape, "", object), np.zeros((count, 4), np.float32)
+    box_rows = []
     for batch in batches(np.arange(count), size):
         views = renderer.views(batch)
         true = renderer.boxes(views, batch)
         true_boxes[batch] = true.cpu().numpy()
         for c, images in enumerate(renderer.compose(views, batch, controls)):
-            before = len(found)
+            before = len(box_rows)
             for d, detector in enumerate(detectors):
                 detections = renderer.about_person(detector(images), views, batch)
                 best = renderer.on_person(detections, views, batch)
                 for name, values in image_scores(detector, detections, best).items():
                     scores[name][d, c, batch] = values
-                found += _boxes(d, c, batch, detections, true.cpu())
+                box_rows += _boxes(d, c, batch, detections, true.cpu())
             if on_images:
-                on_images(controls[c], batch, images, pd.DataFrame(_columns(found[before:])))
+                on_images(controls[c], batch, images, pd.DataFrame(_columns(box_rows[before:])))
             progress.advance(len(batch))
-    return scores, _columns(found), true_boxes
+    return scores, _columns(box_rows), true_boxes
 
 
-def _columns(found: Sequence[tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
+def _columns(box_rows: Sequence[tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
     """Join the boxes of images to the columns of `Results.boxes`."""
     names = (*BOX_COLUMNS, *CORNERS)
-    columns = zip(*found, strict=True) if found else [[np.zeros(0)] for _ in names]
+    columns = zip(*box_rows, strict=True) if box_rows else [[np.zeros(0)] for _ in names]
     return {name: np.concatenate(parts) for name, parts in zip(names, columns, strict=True)}
 
 
@@ -148,7 +151,8 @@ def image_scores(detector: Detector, detections: Detections, best: OnBody) -> di
     """
     columns = {"score": max_person_score(detections).cpu().numpy(), "score_on": best.person.cpu().numpy()}
     if best.other is not None:
-        other, numbers = best.other.cpu().numpy(), best.other_class.tolist()
+        other = best.other.cpu().numpy()
+        numbers = best.other_class.tolist()
         names = [class_name(detector.class_names, k) if s > 0 else "" for s, k in zip(other, numbers, strict=True)]
         columns |= {"other": other, "other_name": np.array(names, object)}
     return columns

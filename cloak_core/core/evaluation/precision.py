@@ -32,8 +32,8 @@ def average_precision(results: Results, rows: pd.DataFrame, overlaps: Sequence[f
     """
     boxes = results.boxes_of(rows)
     values = [
-        _of_training(boxes[(boxes["training"] == training).to_numpy()], len(mine), overlaps)
-        for training, mine in rows.groupby("training")
+        _of_training(boxes[(boxes["training"] == training).to_numpy()], len(own_rows), overlaps)
+        for training, own_rows in rows.groupby("training")
     ]
     return float(np.mean(values)) if values else math.nan
 
@@ -44,7 +44,7 @@ def _of_training(boxes: pd.DataFrame, images: int, overlaps: Sequence[float]) ->
         return math.nan
     hit = boxes["hit"].to_numpy()
     hits = (hit if overlap == IOU else first_hits(iou, image, overlap) for overlap in overlaps)
-    return float(np.mean([average_precision_of(one, score, images) for one in hits]))
+    return float(np.mean([average_precision_of(is_hit, score, images) for is_hit in hits]))
 
 
 def first_hits(iou: Float[np.ndarray, N], image: Int64[np.ndarray, N], overlap: float) -> Bool[np.ndarray, N]:

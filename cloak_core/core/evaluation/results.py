@@ -114,11 +114,11 @@ class Results:
         grid = (len(self.detectors), len(self.controls), len(trials))
         nobody = (self.images["control"] == NOBODY).to_numpy()
         person, bare = self.images[~nobody], self.images[nobody]
-        told = ("other", "other_name") if person["other"].notna().any() else ()
+        others = ("other", "other_name") if person["other"].notna().any() else ()
         names = ("controls", "body_names", "background_names")
         arrays = {"format": np.array(FORMAT), "specs": np.array(self.detectors, np.str_)}
         arrays |= {name: np.array(getattr(self, name), np.str_) for name in names}
-        arrays |= {name: _plain(person[name]).reshape(grid) for name in ("score", "score_on", *told)}
+        arrays |= {name: _plain(person[name]).reshape(grid) for name in ("score", "score_on", *others)}
         arrays["bare"] = bare["score"].to_numpy().reshape(grid[0], -1)
         arrays["bare_background"] = bare["background"].to_numpy().reshape(grid[0], -1)[0]
         arrays["operating_points"] = person["operating_point"].to_numpy().reshape(grid)[:, 0, 0]
@@ -156,7 +156,8 @@ def make_results(
     of `BOX_COLUMNS`, where detector and control are numbers, and `CORNERS` where known. bare_background: [M] indices of
     the backgrounds. other, other_name: [D, C, N] best score of another class on the body, and its name.
     """
-    specs, points = tuple(detectors), [np.nan if point is None else point for point in detectors.values()]
+    specs = tuple(detectors)
+    points = [np.nan if point is None else point for point in detectors.values()]
     kinds = {"detector": pd.CategoricalDtype(specs)}
     kinds["control"] = pd.CategoricalDtype([*dict.fromkeys(controls), NOBODY])
     trials = complete(trials)
@@ -171,20 +172,21 @@ def make_results(
     behind = np.arange(count) if bare_background is None else bare_background
     nobody = _grid(kinds, (len(specs), 1, count), complete(pd.DataFrame({"background": behind})))
     nobody["control"] = pd.Categorical.from_codes(np.full(len(nobody), len(controls)), dtype=kinds["control"])
-    nobody["score"], nobody["operating_point"], nobody["other_name"] = bare.ravel(), np.repeat(points, count), ""
+    nobody["score"] = bare.ravel()
+    nobody["operating_point"] = np.repeat(points, count)
+    nobody["other_name"] = ""
     for name in set(person) - set(nobody):
         # Concatenation would turn absent text and numbers into objects otherwise.
         nobody[name] = np.float32(np.nan) if is_numeric_dtype(person[name]) else ""
     images = pd.concat([person, nobody[person.columns]], ignore_index=True)
     images.insert(0, "training", 0)
     images["body"] = np.array([*body_names, None], object)[images["pose"].to_numpy()]
-    found = _box_table(boxes, kinds)
-    return Results(images, found, specs, tuple(controls), tuple(body_names), tuple(background_names))
+    return Results(images, _box_table(boxes, kinds), specs, tuple(controls), tuple(body_names), tuple(background_names))
 
 
 def _grid(kinds: Mapping[str, pd.CategoricalDtype], shape: tuple[int, ...], trials: pd.DataFrame) -> pd.DataFrame:
     """Make a row for each of D detectors, C controls and N images, in this order, with what the images show."""
-    detector, control, image = (way.ravel() for way in np.indices(shape))
+    detector, control, image = (index.ravel() for index in np.indices(shape))
     table = pd.DataFrame({"detector": pd.Categorical.from_codes(detector, dtype=kinds["detector"])})
     table["control"] = pd.Categorical.from_codes(control, dtype=kinds["control"])
     table["image"] = image
@@ -194,13 +196,13 @@ def _grid(kinds: Mapping[str, pd.CategoricalDtype], shape: tuple[int, ...], tria
 
 
 def _box_table(boxes: Mapping[str, np.ndarray], kinds: Mapping[str, pd.CategoricalDtype]) -> pd.DataFrame:
-    found = pd.DataFrame({name: np.asarray(boxes[name], kind) for name, kind in BOX_COLUMNS.items()})
+    table = pd.DataFrame({name: np.asarray(boxes[name], kind) for name, kind in BOX_COLUMNS.items()})
     for name, kind in kinds.items():
-        found[name] = pd.Categorical.from_codes(found[name].to_numpy(), dtype=kind)
+        table[name] = pd.Categorical.from_codes(table[name].to_numpy(), dtype=kind)
     for name in CORNERS:
-        found[name] = np.asarray(boxes[name], np.float32) if name in boxes else np.float32(np.nan)
-    found.insert(0, "training", 0)
-    return found
+        table[name] = np.asarray(boxes[name], np.float32) if name in boxes else np.float32(np.nan)
+    table.insert(0, "training", 0)
+    return table
 
 
 def pool(results: Sequence[Results]) -> Results:

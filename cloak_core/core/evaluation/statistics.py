@@ -77,7 +77,7 @@ def conditional_rate(rows: pd.DataFrame, threshold: float = THRESHOLD, resamples
 
 def by_training(rows: pd.DataFrame) -> list[float]:
     """Compute attack success of each repetition of the training."""
-    return [share(mine) for _, mine in rows.groupby("training")]
+    return [share(part) for _, part in rows.groupby("training")]
 
 
 # --- records: plain values, ready for JSON
@@ -91,21 +91,23 @@ def summarize(results: Results, threshold: float = THRESHOLD, resamples: int = R
 
 
 def _detector_summary(results: Results, spec: str, threshold: float, resamples: int) -> dict:
-    record = lambda rows: success_record(results, rows, threshold, resamples)
+    def record(rows: pd.DataFrame) -> dict:
+        return success_record(results, rows, threshold, resamples)
+
     rows = {control: results.rows(spec, control) for control in results.controls}
-    told = {control: record(mine) | side_record(mine, threshold) for control, mine in rows.items()}
+    summary = {control: record(part) | side_record(part, threshold) for control, part in rows.items()}
     logo = rows[results.controls[0]]
-    told["by_angle"] = {f"{angle:g}": record(mine) for angle, mine in logo.groupby("angle")}
-    told["by_body"] = {results.body_names[pose]: record(mine) for pose, mine in logo.groupby("pose") if pose >= 0}
+    summary["by_angle"] = {f"{angle:g}": record(part) for angle, part in logo.groupby("angle")}
+    summary["by_body"] = {results.body_names[pose]: record(part) for pose, part in logo.groupby("pose") if pose >= 0}
     for column in ("distance", "elevation"):
         if logo[column].nunique() > 1:
-            told[f"by_{column}"] = {f"{value:g}": record(mine) for value, mine in logo.groupby(column)}
-    curves = {control: threshold_curve(mine) for control, mine in rows.items()}
-    told["by_threshold"] = {
+            summary[f"by_{column}"] = {f"{value:g}": record(part) for value, part in logo.groupby(column)}
+    curves = {control: threshold_curve(part) for control, part in rows.items()}
+    summary["by_threshold"] = {
         f"{t:.1f}": {control: round(curve[k], 6) for control, curve in curves.items()} for k, t in enumerate(THRESHOLDS)
     }
-    told["average_precision"] = {c: finite(average_precision(results, mine)) for c, mine in rows.items()}
-    return told
+    summary["average_precision"] = {c: finite(average_precision(results, part)) for c, part in rows.items()}
+    return summary
 
 
 def success_record(
@@ -152,17 +154,17 @@ def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
     `renamed`: share of images in which something else is reported on the body; `gone`: nothing is; `named`: the most
     frequent names of the former at `threshold`. Nulls where the detector does not tell of other classes.
     """
-    told = bool(len(rows)) and bool(rows["other"].notna().all())
+    has_others = bool(len(rows)) and bool(rows["other"].notna().all())
     record: dict = {}
     for suffix, at in (("", threshold), ("_own", operating_point(rows))):
-        known = told and at is not None
+        known = has_others and at is not None
         gone = hidden(rows, at) if known else np.zeros(0, bool)
         other = rows["other"].to_numpy() > at if known else gone
         record[f"renamed{suffix}"] = finite(float((gone & other).mean())) if known else None
         record[f"gone{suffix}"] = finite(float((gone & ~other).mean())) if known else None
         if not suffix:
             names = rows["other_name"][gone & other].value_counts() if known else {}
-            record["named"] = {str(name): int(n) for name, n in list(names.items())[:NAMED]} if told else None
+            record["named"] = {str(name): int(n) for name, n in list(names.items())[:NAMED]} if has_others else None
     return record
 
 
@@ -223,7 +225,7 @@ def training_row(results: Results, spec: str) -> dict:
         "success_iou": hidden_rate(rows, column="score_on").value,
         "conditional": conditional_rate(rows).value,
         # Unlike success it does not saturate at 0 or 100 %.
-        "mean_score": float(np.mean([mine["score"].to_numpy().mean() for _, mine in rows.groupby("training")])),
+        "mean_score": float(np.mean([part["score"].to_numpy().mean() for _, part in rows.groupby("training")])),
         **others,
         "clean_detection": 1 - others[CLOTHING],
         "average_precision": average_precision(results, rows),
@@ -240,7 +242,8 @@ def operating_row(results: Results, spec: str) -> dict:
 
     Each control is told at both thresholds; `clean_*` is the bodies' own clothing.
     """
-    row, rows = training_row(results, spec), results.rows(spec, LOGO)
+    row = training_row(results, spec)
+    rows = results.rows(spec, LOGO)
     point = operating_point(rows)
     missed = {control: share(results.rows(spec, control), point) for control in results.controls[1:]}
     more = {f"{control}_own": value for control, value in missed.items()}
@@ -254,13 +257,13 @@ def operating_row(results: Results, spec: str) -> dict:
 
 def rows_at(results: Results, spec: str, column: str, values: Sequence[float], **where: float) -> list[dict]:
     """Make one row for each angle or distance: success with its interval, every control beside it, four digits."""
-    found = []
+    table = []
     for value in values:
         place = where | {column: value}
         shares = {c: digits(share(results.rows(spec, c, **place))) for c in results.controls[1:]}
         rates = rate_row(hidden_rate(results.rows(spec, LOGO, **place)))
-        found.append({"detector": spec, column: value} | rates | shares)
-    return found
+        table.append({"detector": spec, column: value} | rates | shares)
+    return table
 
 
 # --- plain numbers

@@ -165,8 +165,8 @@ def merge(*layers: Mapping[str, object]) -> dict[str, object]:
         raise InputError(f"--preset: {preset!r} is not one of {', '.join(PRESETS)}")
     merged: dict[str, object] = {}
     for layer in (PRESETS[preset], *layers, {"preset": preset}):
-        for given, replaced in (("steps", "epochs"), ("epochs", "steps")):
-            if layer.get(given) is not None and layer.get(replaced) is None:
+        for named, replaced in (("steps", "epochs"), ("epochs", "steps")):
+            if layer.get(named) is not None and layer.get(replaced) is None:
                 merged[replaced] = None
         merged |= {key: value for key, value in layer.items() if value is not None or key not in ("steps", "epochs")}
     return merged
@@ -191,15 +191,16 @@ def settings_from_record(record: Mapping[str, object]) -> TrainSettings:
 
 def components_from_record(record: Mapping[str, object]) -> dict[str, object]:
     """Make what `TrainSettings` takes, of the right types, but not checked whether they go together."""
-    known, record = _kinds(), without_retired(dict(record))
+    known = _kinds()
+    record = without_retired(dict(record))
     unknown = sorted(set(record) - set(known))
     if unknown:
         raise InputError(f"{option(unknown[0])}: no such setting (known: {', '.join(known)})")
-    found: dict[str, dict] = {name: {} for name in (*COMPONENTS, "")}
+    by_component: dict[str, dict] = {name: {} for name in (*COMPONENTS, "")}
     for name, value in record.items():
         component, kind = known[name]
-        found[component][name] = from_plain(name, value, kind)
-    return found.pop("") | {name: COMPONENTS[name](**values) for name, values in found.items()}
+        by_component[component][name] = from_plain(name, value, kind)
+    return by_component.pop("") | {name: COMPONENTS[name](**values) for name, values in by_component.items()}
 
 
 def settings_record(settings: TrainSettings) -> dict[str, object]:

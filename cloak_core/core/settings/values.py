@@ -224,8 +224,8 @@ def from_plain(name: str, value: object, kind: object) -> object:
     if kind is int and isinstance(value, float) and value.is_integer():
         value = int(value)
     if not isinstance(value, kind):
-        wanted = {str: "text", int: "a whole number", float: "a number"}[kind]
-        raise InputError(f"{option(name)}: {value!r} is not {wanted}")
+        expected = {str: "text", int: "a whole number", float: "a number"}[kind]
+        raise InputError(f"{option(name)}: {value!r} is not {expected}")
     return value
 
 
