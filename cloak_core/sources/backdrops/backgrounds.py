@@ -211,8 +211,8 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
     pictures: list[Picture] = []
     ready: list[np.ndarray] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-        found = pool.map(lambda path: _try_read(path, *size, decoded), files)
-        for file, (image, picture) in zip(files, found, strict=True):
+        opened = pool.map(lambda path: _try_read(path, *size, decoded), files)
+        for file, (image, picture) in zip(files, opened, strict=True):
             if image is not None:
                 good.append(file)
                 pictures.append(picture)
@@ -253,7 +253,8 @@ def _read(
         return image, picture
     data = read_bytes(path, MAX_FILE_BYTES)
     key = hashlib.sha256(data).hexdigest()
-    image, picture = decoded.get(key, height, width), decoded.picture(key)
+    image = decoded.get(key, height, width)
+    picture = decoded.picture(key)
     if image is None or picture is None:
         whole = _decode(path, data)
         if picture is None:

@@ -103,7 +103,9 @@ def _wood(rng: Rng, canvas: Canvas) -> None:
     bark_color = random_color(rng, (0.02, 0.13), (0.05, 0.5), (0.1, 0.7))
     for z in sorted(rng.uniform(2, 22, rng.integers(4, 22)), reverse=True):
         bark = tiles.rough(rng, shade(bark_color, rng.uniform(0.6, 1.2)), (20, 120), 0.5)
-        x, lean, width = rng.uniform(-0.75, 0.75) * z, rng.normal(0, 0.25), rng.uniform(0.12, 0.6)
+        x = rng.uniform(-0.75, 0.75) * z
+        lean = rng.normal(0, 0.25)
+        width = rng.uniform(0.12, 0.6)
         top = rng.uniform(6, 14)
         canvas.quad(
             (
@@ -135,7 +137,8 @@ def _street(rng: Rng, canvas: Canvas) -> None:
         z = rng.uniform(35, 60)
         while z > 1.5 and rng.random() < 0.95:
             length, height = rng.uniform(4, 16), rng.uniform(3, 22)
-            near, x = max(0.8, z - length), middle + side * walk
+            near = max(0.8, z - length)
+            x = middle + side * walk
             face = tiles.facade(rng, max(2, int(height / 3)), max(2, int(length / 2.5)))
             canvas.side(x, (near, z), (0, height), face, rng.uniform(0.6, 1.1))
             z -= length
@@ -218,7 +221,8 @@ def _room(rng: Rng, canvas: Canvas) -> None:
     canvas.ground(_floor(rng), rng.uniform(0.8, 3))
     white = tiles.rough(rng, random_color(rng, saturation=(0, 0.15), value=(0.6, 1)), contrast=0.05)
     canvas.ground(white, 3, ceiling=height)
-    wall, lights = _surface(rng), rng.uniform(0.6, 1.1, 3)
+    wall = _surface(rng)
+    lights = rng.uniform(0.6, 1.1, 3)
     shift = rng.uniform(-1, 1)
     left, right = shift - half, shift + half
     canvas.panel((left, right), (0, height), back, wall, lights[0])
@@ -244,19 +248,28 @@ def _hang(rng: Rng, canvas: Canvas, span: Span, height: Number, z: float) -> Non
     """Draw windows, doors, pictures and shelves on a wall that faces the camera."""
     x = span[0] + rng.uniform(0.1, 0.8)
     while x < span[1] - 0.5:
-        kind, wide = rng.integers(5), rng.uniform(0.4, 1.4)
+        kind = rng.integers(5)
+        wide = rng.uniform(0.4, 1.4)
         if kind == 0:
-            low, high, picture = 0.0, min(height - 0.1, 2.05), tiles.door(rng)
+            low = 0.0
+            high = min(height - 0.1, 2.05)
+            picture = tiles.door(rng)
             wide = 0.9
         elif kind == 1:
-            low, high, picture = rng.uniform(0.4, 1.1), min(height - 0.1, rng.uniform(1.7, 2.4)), tiles.window(rng)
+            low = rng.uniform(0.4, 1.1)
+            high = min(height - 0.1, rng.uniform(1.7, 2.4))
+            picture = tiles.window(rng)
         elif kind == 2:
-            low, picture = rng.uniform(0.9, 1.5), tiles.poster(rng)
+            low = rng.uniform(0.9, 1.5)
+            picture = tiles.poster(rng)
             high = low + rng.uniform(0.3, 0.9)
         elif kind == 3:
-            low, high, picture = rng.uniform(0, 1.0), rng.uniform(1.4, 2.2), tiles.shelf(rng)
+            low, high = rng.uniform(0, 1.0), rng.uniform(1.4, 2.2)
+            picture = tiles.shelf(rng)
         else:
-            low, high, picture = 0.0, min(height - 0.05, 2.5), tiles.stripes(rng)
+            low = 0.0
+            high = min(height - 0.05, 2.5)
+            picture = tiles.stripes(rng)
             wide *= 0.5
         canvas.panel((x, x + wide), (low, high), z, picture)
         x += wide + rng.uniform(0.1, 2)
@@ -291,7 +304,8 @@ def _furniture(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
 def _wall(rng: Rng, canvas: Canvas) -> None:
     """Draw one wall, straight ahead, with a strip of floor before it."""
     z = rng.uniform(2, 7)
-    half, height = 0.75 * canvas.width / canvas.focal * z, rng.uniform(3, 9)
+    half = 0.75 * canvas.width / canvas.focal * z
+    height = rng.uniform(3, 9)
     canvas.image.paste(random_color(rng, saturation=(0, 0.3), value=(0.6, 1)), (0, 0, canvas.width, canvas.height))
     turn = rng.uniform(-0.25, 0.25) * half
     wall = _surface(rng)
@@ -333,7 +347,8 @@ def _still_life(rng: Rng, canvas: Canvas) -> None:
     edge = int(canvas.height * rng.uniform(0.5, 1.0))
     draw.rectangle((0, edge, canvas.width, canvas.height), random_color(rng, (0.02, 0.14), (0.1, 0.6), (0.2, 0.9)))
     for _ in range(rng.integers(3, 22)):
-        x, y = rng.uniform(0, canvas.width), rng.uniform(0.3, 1.05) * canvas.height
+        x = rng.uniform(0, canvas.width)
+        y = rng.uniform(0.3, 1.05) * canvas.height
         w, h = canvas.height * rng.uniform(0.02, 0.28), canvas.height * rng.uniform(0.03, 0.55)
         color = random_color(rng, saturation=(0, 1), value=(0.05, 1))
         kind = rng.integers(4)

@@ -63,7 +63,8 @@ def grid(rng: np.random.Generator, color: Color, rows: int, columns: int, offset
     width, height = columns * cell * (2 if offset else 1), rows * cell
     image = Image.new("RGB", (width, height), shade(color, rng.uniform(0.5, 1.3)))
     draw = ImageDraw.Draw(image)
-    step, variation = width // columns, rng.uniform(0.03, 0.25)
+    step = width // columns
+    variation = rng.uniform(0.03, 0.25)
     factors = rng.normal(1, variation, (rows, columns + 1))
     for row in range(rows):
         start = -(step // 2) if offset and row % 2 else 0

@@ -40,10 +40,10 @@ def select(selection: str, names: Sequence[str], spec: str) -> list[int]:
     """
     picked: list[int] = []
     for choice in selection.split(","):
-        found = _choose(choice.strip(), names, spec)
-        if not found:
+        chosen = _choose(choice.strip(), names, spec)
+        if not chosen:
             raise InputError(f"{spec}: '{choice.strip()}' picks none of {_listed(names)}")
-        picked += found
+        picked += chosen
     repeated = [index for index, count in Counter(picked).items() if count > 1]
     if repeated:
         raise InputError(f"{spec}: picks '{names[repeated[0]]}' twice")

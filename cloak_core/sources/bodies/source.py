@@ -61,8 +61,12 @@ class BodyPlan:
         random: np.random.Generator,
     ) -> dict[str, np.ndarray]:
         """See `Source`. Columns: pose and outfit, int64; azimuth and elevation, degrees; distance, metres."""
-        views, count = self.settings, len(images)
-        spread = lambda values: random.uniform(values.low, values.high, count)
+        views = self.settings
+        count = len(images)
+
+        def spread(values: Range) -> np.ndarray:
+            return random.uniform(values.low, values.high, count)
+
         jitter = spread(Range(-views.angle_jitter, views.angle_jitter))
         outfits = self.outfit_count if views.outfits == "random" else 1
         outfit = random.integers(outfits, size=count)

@@ -38,7 +38,8 @@ def require_av(path: Path) -> ModuleType:
 
 def read_frames(path: Path, every: int = 1, most: int | None = None) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
     """Read every `every`-th frame of a video, upright, RGB, at most so many. InputError: damaged, huge, or no video."""
-    av, count = require_av(path), 0
+    av = require_av(path)
+    count = 0
     with open_regular(path, MAX_FILE_BYTES) as file:
         try:
             with av.open(file, "r") as container:
@@ -96,7 +97,8 @@ def _save_mp4(path: Path, frames: Iterable[Image.Image], fps: float) -> None:
                 if stream is None:
                     stream = container.add_stream("h264", rate=Fraction(fps).limit_denominator(1000))
                     stream.width, stream.height = frame.width // 2 * 2, frame.height // 2 * 2  # 4:2:0 halves both
-                    stream.pix_fmt, stream.options = "yuv420p", {"crf": CRF}
+                    stream.pix_fmt = "yuv420p"
+                    stream.options = {"crf": CRF}
                 even = frame.crop((0, 0, stream.width, stream.height))
                 container.mux(stream.encode(av.VideoFrame.from_image(even)))
             if stream is not None:

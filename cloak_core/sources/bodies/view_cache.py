@@ -45,10 +45,14 @@ class ViewCache:
 
     def __init__(self, bodies: Bodies, settings: RenderSettings | None = None, *, on_cloth: bool = False) -> None:
         """on_cloth: views tell where on a cloth (core/cloth.py) each entry lies."""
-        self.bodies, self.settings = bodies, settings or RenderSettings()
+        self.bodies = bodies
+        self.settings = settings or RenderSettings()
         self.device = torch.device(self.settings.device)
-        # A copy, always: torch takes no read-only arrays.
-        put = lambda array, dtype: torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=self.device)
+
+        def put(array: np.ndarray, dtype: torch.dtype) -> Tensor:
+            # A copy, always: torch takes no read-only arrays.
+            return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=self.device)
+
         self._colors = put(bodies.face_colors, torch.float32)
         images = [bodies.texture_of(outfit) for outfit in range(bodies.outfit_count)]
         self._textures = [None if image is None else put(image, torch.uint8) for image in images]
@@ -73,15 +77,15 @@ class ViewCache:
         """Return the view, from memory or the files where it was built before."""
         return self.views([(pose, camera)])[0]
 
-    def views(self, wanted: Sequence[Key]) -> list[View]:
+    def views(self, keys: Sequence[Key]) -> list[View]:
         """Many views; those not built before are built together."""
-        found = {key: self._find(*key) for key in wanted}
-        new = [key for key, view in found.items() if view is None]
+        by_key = {key: self._find(*key) for key in keys}
+        new = [key for key, view in by_key.items() if view is None]
         for key, view in zip(new, self.build(new) if new else [], strict=True):
-            found[key] = self._kept.put(("view", *key), view)
+            by_key[key] = self._kept.put(("view", *key), view)
             if self._stored is not None:
                 self._stored.put(*key, view)
-        return [found[key] for key in wanted]
+        return [by_key[key] for key in keys]
 
     def _find(self, pose: int, camera: Camera) -> View | None:
         view = self._kept.get(("view", pose, camera))
@@ -100,49 +104,53 @@ class ViewCache:
                 raise InputError(f"outfit {outfit}: the scene has {self.bodies.outfit_count}")
             view = self.view(pose, camera)
             logo = torch.from_numpy(faces).to(self.device)
-            colors, texture = self._colors[outfit], self._textures[outfit]
+            colors = self._colors[outfit]
+            texture = self._textures[outfit]
             baked = self._kept.put(key, bake(view, logo, colors, self.settings.light.color, texture))
         return baked
 
-    def build(self, wanted: Sequence[Key]) -> list[View]:
+    def build(self, keys: Sequence[Key]) -> list[View]:
         """Rasterize and light views, without keeping them: one by one, so that memory is that of one.
 
         On the CPU, torch's threads share the views, or the one view's rows.
         """
-        count = self._workers(len(wanted))
-        if len(wanted) == 1:
+        count = self._workers(len(keys))
+        if len(keys) == 1:
             with one_thread():
-                return [self._build(wanted[0], count)]
-        self._load_poses(wanted)
-        return spread(self._build, wanted, count)
+                return [self._build(keys[0], count)]
+        self._load_poses(keys)
+        return spread(self._build, keys, count)
 
     def _build(self, key: Key, count: int = 1) -> View:
         screen, light = self.screen([key]), self._view_space_light(*key)
-        way = backend(self.device)
-        lit = lambda band: way.build_view(self._band(key, screen, band), screen, self._surface, *light)
+        stage = backend(self.device)
+
+        def lit(band: Window) -> View:
+            return stage.build_view(self._band(key, screen, band), screen, self._surface, *light)
+
         return View.join(spread(lit, self._bands(screen, count), count))
 
-    def screen(self, wanted: Sequence[Key]) -> Screen:
+    def screen(self, keys: Sequence[Key]) -> Screen:
         """Project the views' vertices to the screen."""
         with one_thread():
-            poses = [self._pose(pose) for pose, _ in wanted]
+            poses = [self._pose(pose) for pose, _ in keys]
             only = len(poses) == 1
             vertices = poses[0].vertices.unsqueeze(0) if only else torch.stack([pose.vertices for pose in poses])
-            pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, wanted, strict=True)]
-            return project(vertices, [camera for _, camera in wanted], pivots)
+            pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, keys, strict=True)]
+            return project(vertices, [camera for _, camera in keys], pivots)
 
-    def visibility(self, wanted: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
+    def visibility(self, keys: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
         """Find the nearest triangle at every sample."""
         with one_thread():
-            return rasterize(screen, self._surface.triangles, self.settings.grid, self.cull(wanted, screen), window)
+            return rasterize(screen, self._surface.triangles, self.settings.grid, self.cull(keys, screen), window)
 
-    def visible(self, wanted: Sequence[Key]) -> list[Visibility] | list[Fragments]:
+    def visible(self, keys: Sequence[Key]) -> list[Visibility] | list[Fragments]:
         """Find what is visible, unlit, in parts: samples, or where coverage is measured by area, fragments."""
-        self._load_poses(wanted)
-        count = self._workers(len(wanted))
-        share = count if len(wanted) == 1 else 1
-        screens = [(key, self.screen([key])) for key in wanted]
-        bands = [(key, screen, band) for key, screen in screens for band in self._bands(screen, share)]
+        self._load_poses(keys)
+        count = self._workers(len(keys))
+        bands_of_view = count if len(keys) == 1 else 1
+        screens = [(key, self.screen([key])) for key in keys]
+        bands = [(key, screen, band) for key, screen in screens for band in self._bands(screen, bands_of_view)]
         find = self._band if self.settings.by_area else lambda key, *where: self.visibility([key], *where)
         return spread(lambda part: find(*part), bands, count)
 
@@ -153,19 +161,19 @@ class ViewCache:
         """
         return 1 if views == 1 and self.settings.samples in (1, 4) else workers(self.device)
 
-    def cull(self, wanted: Sequence[Key], screen: Screen) -> Bool[Tensor, "B T"]:
+    def cull(self, keys: Sequence[Key], screen: Screen) -> Bool[Tensor, "B T"]:
         """Mark triangles whose back faces are dropped: those of closed surfaces that face outwards.
 
         Not in views where the near plane cuts bodies open.
         """
-        cull = torch.from_numpy(self._outward[[pose for pose, _ in wanted]])
+        cull = torch.from_numpy(self._outward[[pose for pose, _ in keys]])
         if screen.in_guard_band is not None:
             cull &= (screen.view[2] >= screen.near).all(1, keepdim=True).cpu()
         return cull
 
-    def _load_poses(self, wanted: Sequence[Key]) -> None:
+    def _load_poses(self, keys: Sequence[Key]) -> None:
         """Prepare the poses, before several threads ask for them at once."""
-        for pose, _ in wanted:
+        for pose, _ in keys:
             self._pose(pose)
 
     def _bands(self, screen: Screen, count: int) -> list[Window]:
@@ -175,8 +183,12 @@ class ViewCache:
         if not self.settings.by_area:  # areas are cut further by the pixels that triangles touch
             most = BAND_SAMPLES.get(self.device.type, BAND_SAMPLES["cpu"])
             rows = max(1, most // max(1, (window.x1 - window.x0) * self.settings.grid**2))
-        cut = lambda band: [replace(band, y0=y, y1=min(y + rows, band.y1)) for y in range(band.y0, band.y1, rows)]
-        return [part for band in row_bands(screen, window, count) for part in cut(band)] or [window]
+        bands = [
+            replace(band, y0=y, y1=min(y + rows, band.y1))
+            for band in row_bands(screen, window, count)
+            for y in range(band.y0, band.y1, rows)
+        ]
+        return bands or [window]
 
     def _band(self, key: Key, screen: Screen, window: Window) -> Fragments:
         if self.settings.by_area:

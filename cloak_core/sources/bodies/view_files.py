@@ -84,13 +84,14 @@ class StoredViews:
         """Nothing that reads a view looks at its indices again, so a foreign file must not get further than this."""
         if set(tensors) != {*_INDICES, *_NUMBERS, *self._places}:
             return None
-        count, entries, crow = len(tensors["pixels"]), len(tensors["column"]), tensors["crow"]
+        count, entries = len(tensors["pixels"]), len(tensors["column"])
+        crow = tensors["crow"]
         shapes = {"pixels": (count,), "coverage": (count,), "specular": (count,), "crow": (count + 1,)}
         shapes |= {"column": (entries,), "weight": (entries,)}
         shapes |= {name: (rows, entries) for name, rows in self._places.items()}
         for name, value in tensors.items():
-            wanted = torch.int32 if name in _INDICES else torch.float32
-            if tuple(value.shape) != shapes[name] or value.dtype != wanted:
+            dtype = torch.int32 if name in _INDICES else torch.float32
+            if tuple(value.shape) != shapes[name] or value.dtype != dtype:
                 return None
         if crow[0] != 0 or crow[-1] != entries or (crow.diff() < 0).any():
             return None

@@ -57,7 +57,9 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
     scene = bpy.context.scene
     objects = [obj for obj in scene.objects if obj.type == "MESH" and obj.visible_get()]
     moments = np.rint(np.linspace(scene.frame_start, scene.frame_end, max(frames, 1))).astype(int)
-    poses, first, ahead = [], None, first_simulated(objects)
+    poses = []
+    first = None
+    ahead = first_simulated(objects)
     for moment in moments.tolist():
         if ahead is not None:
             for frame in range(ahead, moment):
@@ -109,9 +111,9 @@ def mesh_arrays(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> dict[str, 
     picture = np.full(len(loop_total), -1, np.int32)
     used = [slot.material for slot in evaluated.material_slots]
     for index, material in enumerate(used):
-        mine = slots == index
-        if material is not None and mine.any():
-            colors[mine], picture[mine] = look(material)
+        has_material = slots == index
+        if material is not None and has_material.any():
+            colors[has_material], picture[has_material] = look(material)
     painted = mesh.color_attributes.active_color
     if painted is not None and not any(used):
         values = read(painted.data, "color", np.float32, 4)[:, :3]

@@ -51,8 +51,8 @@ def find_bpy() -> str | None:
 def bpy_version(python: str) -> str:
     """Read Blender's version in such a Python, such as "4.2.0"."""
     script = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0)"
-    said = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=60, check=True).stdout
-    return said.strip().splitlines()[-1]
+    output = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=60, check=True).stdout
+    return output.strip().splitlines()[-1]
 
 
 def _has_bpy(python: str) -> bool:

@@ -67,6 +67,6 @@ def _color(text: str, gimp: bool, place: str) -> tuple[float, float, float]:
     except ValueError:
         values = ()
     if len(values) != 3 or not all(0 <= value <= 1 for value in values):
-        wanted = "three bytes" if gimp else "three numbers in [0, 1], or #rrggbb"
-        raise InputError(f"{place}: {text[:40]!r} is no colour ({wanted})")
+        expected = "three bytes" if gimp else "three numbers in [0, 1], or #rrggbb"
+        raise InputError(f"{place}: {text[:40]!r} is no colour ({expected})")
     return values

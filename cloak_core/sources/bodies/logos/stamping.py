@@ -143,7 +143,8 @@ def seen_from_front(
     # Only triangles under the stamp can hide anything.
     near = ((high[:, :2] >= centres[:, :2].min(axis=0)) & (low[:, :2] <= centres[:, :2].max(axis=0))).all(axis=1)
     near &= high[:, 2] > centres[:, 2].min()
-    corners, face = corners[near], bodies.triangle_face[near].astype(np.int64)
+    corners = corners[near]
+    face = bodies.triangle_face[near].astype(np.int64)
     seen = np.ones(len(ids), bool)
     for start in range(0, len(ids), 256):
         part = slice(start, start + 256)
@@ -156,7 +157,11 @@ def in_front(points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "m 3
     """Tell whether a triangle covers a point in the xy plane and lies nearer to +z there."""
     a, b, c = (triangles[:, corner] for corner in range(3))
     x, y = points[:, None, 0], points[:, None, 1]
-    side = lambda p, q: (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
+
+    def side(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Compute the edge function of p to q: twice the area of the triangle with each point."""
+        return (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
+
     wa, wb, wc = side(b, c), side(c, a), side(a, b)
     area = wa + wb + wc
     covers = ((wa >= 0) & (wb >= 0) & (wc >= 0)) | ((wa <= 0) & (wb <= 0) & (wc <= 0))
@@ -166,24 +171,27 @@ def in_front(points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "m 3
 
 
 def sized_stamp(
-    make: Callable[..., Int64[np.ndarray, " logo"]], bodies: Bodies, share: float
+    make: Callable[..., Int64[np.ndarray, " logo"]], bodies: Bodies, target: float
 ) -> Int64[np.ndarray, " logo"]:
-    """Stamp at the height that covers about this share (0 to 1) of the body's area, found by bisection up to 1 m.
+    """Stamp at the height that covers about `target` (0 to 1) of the body's area, found by bisection up to 1 m.
 
     make: `project_text` or `project_mask` but for the height, metres. InputError: no such stamp fits.
     """
     low, high = 0.0, 1.0
-    best, distance = None, np.inf
+    best = None
+    distance = np.inf
     for _ in range(14):
         height = (low + high) / 2
         try:
             ids = make(height=height)
-            found = area_share(bodies, ids)
+            reached = area_share(bodies, ids)
         except InputError:  # too small to cover the centre of any face
-            ids, found = None, 0.0
-        if ids is not None and abs(found - share) < distance:
-            best, distance = ids, abs(found - share)
-        low, high = (height, high) if found < share else (low, height)
+            ids = None
+            reached = 0.0
+        if ids is not None and abs(reached - target) < distance:
+            best = ids
+            distance = abs(reached - target)
+        low, high = (height, high) if reached < target else (low, height)
     if best is None:
-        raise InputError(f"scene '{bodies.name}': no stamp of {share:.1%} of its area fits on the chest")
+        raise InputError(f"scene '{bodies.name}': no stamp of {target:.1%} of its area fits on the chest")
     return best

@@ -59,7 +59,8 @@ class Moment:
         parent = {child: index for index, node in enumerate(nodes) for child in node.get("children", [])}
         self.matrices: dict[int, np.ndarray] = {}
         for index in range(len(nodes)):
-            chain, at = [], index
+            chain = []
+            at = index
             while at is not None and at not in self.matrices:
                 if len(chain) > len(nodes):
                     raise ValueError("its nodes are no tree")
@@ -74,7 +75,10 @@ def local_matrix(node: dict, moved: dict[str, np.ndarray]) -> np.ndarray:
     """Compute a node's transform [4, 4] against its parent, with what the animation sets of it."""
     if "matrix" in node and not moved.keys() & {"translation", "rotation", "scale"}:
         return np.array(node["matrix"], float).reshape(4, 4).T
-    value = lambda name, default: np.asarray(moved.get(name, node.get(name, default)), float)
+
+    def value(name: str, default: tuple[float, ...]) -> np.ndarray:
+        return np.asarray(moved.get(name, node.get(name, default)), float)
+
     turn = Rotation.from_quat(value("rotation", (0, 0, 0, 1))).as_matrix()
     matrix = np.eye(4)
     matrix[:3, :3] = turn * value("scale", (1, 1, 1))
@@ -92,7 +96,10 @@ class Part:
         self.rest_weights = np.array(record.get("weights", mesh.get("weights", [])), float)
         primitives = [Primitive(document, primitive) for primitive in mesh["primitives"]]
         offsets = np.cumsum([0] + [len(p.positions) for p in primitives])
-        join = lambda name: np.concatenate([getattr(p, name) for p in primitives])
+
+        def join(name: str) -> np.ndarray:
+            return np.concatenate([getattr(p, name) for p in primitives])
+
         positions, morphs = join("positions"), join("morphs")
         joints, weights = join("joints"), join("weights")
         rows = np.concatenate([positions, morphs.reshape(len(positions), -1), joints, weights], axis=1)
@@ -133,8 +140,8 @@ class Part:
         total = np.maximum(self.weights.sum(axis=1, keepdims=True), 1e-12)
         skinned = np.zeros_like(points)
         for column in range(self.weights.shape[1]):
-            share = (self.weights / total)[:, column, None]
-            skinned += share * np.einsum("vab,vb->va", bones[self.joints[:, column]], points)
+            weight = (self.weights / total)[:, column, None]
+            skinned += weight * np.einsum("vab,vb->va", bones[self.joints[:, column]], points)
         return skinned[:, :3]
 
 
@@ -144,7 +151,8 @@ class Primitive:
     def __init__(self, document: Document, record: dict) -> None:
         if record.get("mode", 4) != 4:
             raise InputError(f"{document.path}: only triangle lists are read, not primitive mode {record['mode']}")
-        self.document, self.attributes = document, record["attributes"]
+        self.document = document
+        self.attributes = record["attributes"]
         self.positions = document.geometry(self.attributes["POSITION"]).astype(np.float64)
         count = len(self.positions)
         indices = document.geometry(record["indices"]) if "indices" in record else np.arange(count)
@@ -169,7 +177,8 @@ class Primitive:
         materials = self.document.list("materials")
         material = {} if index is None else materials[index].get("pbrMetallicRoughness", {})
         factor = np.array(material.get("baseColorFactor", (1, 1, 1, 1)), float)[:3]
-        texture, vertex_colors = material.get("baseColorTexture"), self.read("COLOR_0")
+        texture = material.get("baseColorTexture")
+        vertex_colors = self.read("COLOR_0")
         self.uv = self.read(f"TEXCOORD_{(texture or {}).get('texCoord', 0)}")
         self.picture = -1
         if texture is not None:
@@ -228,7 +237,8 @@ def sample_animation(document: Document, time: float) -> dict[int, dict[str, np.
     animation = document.list("animations")[0]
     moved: dict[int, dict[str, np.ndarray]] = {}
     for channel in animation["channels"]:
-        target, sampler = channel["target"], animation["samplers"][channel["sampler"]]
+        target = channel["target"]
+        sampler = animation["samplers"][channel["sampler"]]
         if "node" not in target:
             continue
         times = document.accessor(sampler["input"]).astype(float)

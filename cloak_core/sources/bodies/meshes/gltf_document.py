@@ -32,7 +32,8 @@ class Document:
         self.binary = memoryview(b"")
         if data[:4] == b"glTF":
             chunks = glb_chunks(data)
-            data, self.binary = bytes(chunks[b"JSON"]), chunks.get(b"BIN\0", self.binary)
+            data = bytes(chunks[b"JSON"])
+            self.binary = chunks.get(b"BIN\0", self.binary)
         self.json = parse_json(data, str(path))
         self.buffers: dict[int, memoryview] = {}
         self.base_pictures: list[np.ndarray] = []
@@ -63,7 +64,8 @@ class Document:
         if number not in self.buffers:
             uri = self.list("buffers")[number].get("uri")
             self.buffers[number] = self.binary if uri is None else memoryview(self.uri(uri, f"buffer {number}"))
-        start, length = record.get("byteOffset", 0), record["byteLength"]
+        start = record.get("byteOffset", 0)
+        length = record["byteLength"]
         data = self.buffers[number]
         if start < 0 or length < 0 or start + length > len(data):
             raise ValueError(f"buffer view {index} reaches beyond its buffer")
@@ -80,7 +82,9 @@ class Document:
     def accessor(self, index: int) -> np.ndarray:
         """Read the values of an accessor, [count, ...]; normalised integers as floats."""
         record = self.list("accessors")[index]
-        dtype, shape, count = np.dtype(COMPONENTS[record["componentType"]]), WIDTHS[record["type"]], record["count"]
+        dtype = np.dtype(COMPONENTS[record["componentType"]])
+        shape = WIDTHS[record["type"]]
+        count = record["count"]
         if "bufferView" in record:
             values = self.strided(record["bufferView"], record.get("byteOffset", 0), dtype, shape, count)
         elif count * math.prod(shape) <= MAX_VALUES:
@@ -108,7 +112,9 @@ class Document:
 
     def mesh_nodes(self) -> list[int]:
         """List the nodes of the default scene that carry a mesh, depth first."""
-        nodes, found, visited = self.list("nodes"), [], set()
+        nodes = self.list("nodes")
+        with_mesh = []
+        visited = set()
         scenes = self.list("scenes")
         roots = scenes[self.json.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
         stack = list(reversed(list(roots)))
@@ -118,11 +124,11 @@ class Document:
                 raise ValueError("its nodes are no tree")
             visited.add(index)
             if "mesh" in nodes[index]:
-                found.append(index)
+                with_mesh.append(index)
             stack += reversed(nodes[index].get("children", []))
-        if not found:
+        if not with_mesh:
             raise InputError(f"{self.path}: no mesh in its scene")
-        return found
+        return with_mesh
 
     def frame_times(self, frames: int) -> list[float | None]:
         """Choose moments of the first animation in seconds; None is the resting pose."""
@@ -165,7 +171,8 @@ def glb_chunks(data: bytes) -> dict[bytes, memoryview]:
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2 or length > len(data):
         raise ValueError("it is truncated" if version == 2 else f"version {version}")
-    chunks, at = {}, 12
+    chunks = {}
+    at = 12
     while at + 8 <= length:
         size, kind = struct.unpack_from("<I4s", data, at)
         if at + 8 + size > length:

@@ -45,7 +45,8 @@ def import_bodies(
         raise InputError("no mesh file to import")
     if scale is not None and not 0 < scale < np.inf:
         raise InputError(f"scale {scale}: a positive number is needed")
-    first, poses, names = None, [], []
+    first = None
+    poses, names = [], []
     for path in paths:
         bodies = read_bodies(path, first, frames)
         first = first or bodies

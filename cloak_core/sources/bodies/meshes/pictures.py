@@ -70,10 +70,10 @@ def put_together(
     number = np.repeat(picture_of, loop_total)
     at = np.repeat(centres + np.array([0, tops[-1]]), loop_total, axis=0)
     for index, image in enumerate(pictures):
-        mine = number == index
+        is_inside = number == index
         size = np.array(image.shape[1::-1])
-        here = np.stack([within[mine, 0], 1 - within[mine, 1]], axis=1) * size
-        at[mine] = np.clip(here, 0.5, size - 0.5) + np.array([0, tops[index]])
+        here = np.stack([within[is_inside, 0], 1 - within[is_inside, 1]], axis=1) * size
+        at[is_inside] = np.clip(here, 0.5, size - 0.5) + np.array([0, tops[index]])
     return whole, at / [width, height] * [1, -1] + [0, 1]
 
 

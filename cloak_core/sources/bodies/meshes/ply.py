@@ -64,7 +64,8 @@ def read_header(data: bytes) -> tuple[str, list[Element], int]:
     start = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or not start:
         raise ValueError("it has no PLY header")
-    order, elements = None, []
+    order = None
+    elements = []
     for line in data[:end].decode("ascii", "replace").splitlines():
         match line.split():
             case ["format", name, _] if not elements:
@@ -89,7 +90,8 @@ class Reader:
     def __init__(self, data: bytes, start: int, order: str) -> None:
         self.data, self.at = data, start
         if not order:
-            self.data, self.at = np.fromiter(map(float, data[start:].split()), np.float64).tobytes(), 0
+            self.data = np.fromiter(map(float, data[start:].split()), np.float64).tobytes()
+            self.at = 0
 
     def take(self, kind: str | np.dtype, count: int) -> np.ndarray:
         dtype = np.dtype(kind)
@@ -111,21 +113,25 @@ class Reader:
             rows = [[self.take_list(prop) for prop in element.properties] for _ in range(element.count)]
             columns = zip(element.properties, zip(*rows, strict=True), strict=True)
             values = {prop.name: (np.array([*map(len, lists)]), np.concatenate(lists)) for prop, lists in columns}
-        found = {}
+        by_property = {}
         for prop in element.properties:
-            length, numbers = values[prop.name][0], values[prop.name][1].astype(np.float64)
-            found[prop.name] = numbers if prop.count_kind is None else (length, numbers)
-        return found
+            length = values[prop.name][0]
+            numbers = values[prop.name][1].astype(np.float64)
+            by_property[prop.name] = numbers if prop.count_kind is None else (length, numbers)
+        return by_property
 
     def even_rows(self, element: Element) -> dict[str, tuple[np.ndarray, np.ndarray]] | None:
         """Read all rows at once, where every list is as long as the first row's; else None, and nothing is taken."""
-        start, fields, lengths = self.at, [], {}
+        start = self.at
+        fields = []
+        lengths = {}
         for prop in element.properties:
             lengths[prop.name] = len(self.take_list(prop)) if element.count else 1
             if prop.count_kind is not None:
                 fields.append((f"{prop.name} length", prop.count_kind))
             fields.append((prop.name, prop.kind, (lengths[prop.name],)))
-        self.at, dtype = start, np.dtype(fields)
+        self.at = start
+        dtype = np.dtype(fields)
         lists = [prop.name for prop in element.properties if prop.count_kind is not None]
         if lists and start + element.count * dtype.itemsize > len(self.data):
             return None

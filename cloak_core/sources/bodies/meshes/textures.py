@@ -91,10 +91,10 @@ def with_uv_of(bodies: Bodies, path: str | Path) -> Bodies:
     }
     triangle_uv = np.empty((bodies.triangle_count, 3), np.int64)
     for number, triangle in enumerate(bodies.triangles.tolist()):
-        found = coordinate.get(tuple(sorted(triangle)))
-        if found is None:
+        uv_of_vertex = coordinate.get(tuple(sorted(triangle)))
+        if uv_of_vertex is None:
             raise InputError(f"{path}: none of its polygons holds the body's triangle {number} {tuple(triangle)}")
-        triangle_uv[number] = [found[vertex] for vertex in triangle]
+        triangle_uv[number] = [uv_of_vertex[vertex] for vertex in triangle]
     return replace(bodies, uv=mesh.uv, triangle_uv=triangle_uv, recorded_topology=bodies.topology)
 
 

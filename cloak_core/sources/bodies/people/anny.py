@@ -58,7 +58,7 @@ def anny_bodies(count: int, seed: int = 0, poses: str | Path = "natural", name: 
     samples, _ = load()
     if count < 1 or count * samples.vertex_count * 12 > MAX_BYTES:
         raise InputError(f"count {count}: between 1 and {MAX_BYTES // (samples.vertex_count * 12)} bodies are possible")
-    given = None if str(poses) in POSES else read_anny_poses(Path(poses))
+    read_poses = None if str(poses) in POSES else read_anny_poses(Path(poses))
     source = AnnySource()
     if not np.array_equal(source.quads.reshape(-1), samples.loop_vertices):
         raise InputError("anny: this version's mesh is not that of the sample bodies (0.6.2 is)")
@@ -67,8 +67,9 @@ def anny_bodies(count: int, seed: int = 0, poses: str | Path = "natural", name: 
     for index in range(count):
         random = np.random.default_rng([seed, index])
         shape = {key: float(random.uniform(*limits)) for key, limits in SHAPES.items()}
-        if given is not None:
-            posed, motion = source.posed(shape, given[index % len(given)]), Path(poses).stem
+        if read_poses is not None:
+            posed = source.posed(shape, read_poses[index % len(read_poses)])
+            motion = Path(poses).stem
         else:
             motion = POSES[str(poses)][index % len(POSES[str(poses)])]
             rest, skeleton = source.figure(shape)

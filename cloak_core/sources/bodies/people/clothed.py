@@ -47,7 +47,9 @@ def clothed_bodies(split: str = "all", tight: bool = False) -> Bodies:
 @lru_cache(maxsize=4)
 def _clothed(split: str, tight: bool) -> Bodies:
     data = read_npz(DATA)
-    quads, owner, source = data["quads"].astype(np.int32), data["owner"], data["source_face"].astype(np.int64)
+    quads = data["quads"].astype(np.int32)
+    owner = data["owner"]
+    source = data["source_face"].astype(np.int64)
     chosen = [
         clip for clip, unseen in enumerate(data["clip_unseen"]) if split in ("all", ("train", "unseen")[int(unseen)])
     ]
@@ -92,7 +94,8 @@ def skin_of(data: dict[str, np.ndarray], clip: int) -> Float64[np.ndarray, "fram
     ends = np.cumsum(data["weight_count"])
     for bone, (start, end) in enumerate(zip(ends - data["weight_count"], ends, strict=True)):
         rows = data["weight_vertex"][start:end]
-        weight, point = data["weight"][start:end] / 65535, rest[rows]
+        weight = data["weight"][start:end] / 65535
+        point = rest[rows]
         for axis in range(3):
             a, b, c, offset = (bones[:, bone, axis, k, None] for k in range(4))
             skin[:, rows, axis] += weight * (a * point[:, 0] + b * point[:, 1] + c * point[:, 2] + offset)
@@ -108,7 +111,8 @@ def tight_offsets(
     data: dict[str, np.ndarray], cut_from: Float64[np.ndarray, "frames G 3"]
 ) -> Float[np.ndarray, "f G 3"]:
     """Move from the skin along the garments' own normals, by `TIGHT`."""
-    bare, owner = int(data["skin_vertices"]), data["owner"]
+    bare = int(data["skin_vertices"])
+    owner = data["owner"]
     quads = data["quads"].astype(np.int64)[owner > 0] - bare
     thickness = np.zeros(cut_from.shape[1])
     for number, name in enumerate(OBJECTS[1:], 1):
@@ -135,8 +139,8 @@ def _outfits(owner: np.ndarray, source: np.ndarray) -> np.ndarray:
 
 def _regions(owner: np.ndarray, source: np.ndarray) -> dict[str, np.ndarray]:
     samples, _ = load_samples()
-    of = lambda name: samples.regions[name][source]
+    regions_of_source = {name: mask[source] for name, mask in samples.regions.items()}
     regions = {name: owner == number for number, name in enumerate(OBJECTS)}
-    regions |= {name: of(name) & regions[worn] for worn, names in ON_GARMENT.items() for name in names}
-    regions |= {name: of(name) & regions["body"] for name in ON_SKIN}
-    return regions | {"front": of("front")}
+    regions |= {name: regions_of_source[name] & regions[worn] for worn, names in ON_GARMENT.items() for name in names}
+    regions |= {name: regions_of_source[name] & regions["body"] for name in ON_SKIN}
+    return regions | {"front": regions_of_source["front"]}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cloak_core.core.cameras import Number
@@ -50,17 +52,29 @@ def waving(right: bool = True, raised: Number = 82.0, **changes: object) -> Pose
     return Pose(**({"spine_tilt": 2.0 if right else -2.0, **arms} | changes))
 
 
+def between(random: np.random.Generator) -> Callable[[Number, Number], float]:
+    """Make a function that draws uniformly from low to high."""
+    return lambda low, high: float(random.uniform(low, high))
+
+
 def draw_standing(random: np.random.Generator) -> Pose:
-    u = lambda low, high: float(random.uniform(low, high))
-    arm = lambda: Arm(shoulder=u(-8, 22), abduction=u(9, 24), inward=u(4, 30), elbow=u(8, 60), pronation=u(5, 28))
-    leg = lambda: Leg(hip=(hip := u(-1, 10)), abduction=u(2, 9), outward=u(3, 15), knee=1.3 * max(hip, 0) + u(1, 4))
+    u = between(random)
+
+    def arm() -> Arm:
+        return Arm(shoulder=u(-8, 22), abduction=u(9, 24), inward=u(4, 30), elbow=u(8, 60), pronation=u(5, 28))
+
+    def leg() -> Leg:
+        hip = u(-1, 10)
+        return Leg(hip=hip, abduction=u(2, 9), outward=u(3, 15), knee=1.3 * max(hip, 0) + u(1, 4))
+
     body = {"tilt": u(-3, 3), "spine_tilt": u(-4, 4), "spine_lean": u(-1, 7), "spine_turn": u(-6, 6)}
     return Pose(left_leg=leg(), right_leg=leg(), left_arm=arm(), right_arm=arm(), **body, **head(random))
 
 
 def draw_walking(random: np.random.Generator) -> Pose:
-    u = lambda low, high: float(random.uniform(low, high))
-    left_first, swinging = bool(random.integers(2)), random.random() < 0.4
+    u = between(random)
+    left_first = bool(random.integers(2))
+    swinging = random.random() < 0.4
     changes: dict[str, object] = {"lean": u(1, 4), "spine_lean": u(0, 5)} | head(random)
     if swinging:
         # The free leg on its way past the standing one.
@@ -71,7 +85,7 @@ def draw_walking(random: np.random.Generator) -> Pose:
 
 
 def draw_running(random: np.random.Generator) -> Pose:
-    u = lambda low, high: float(random.uniform(low, high))
+    u = between(random)
     return running(
         u(30, 64), bool(random.integers(2)), drive=u(22, 44), folded=u(58, 105), lean=u(4, 10), **head(random)
     )

@@ -100,9 +100,9 @@ def frame(along: np.ndarray, across: np.ndarray) -> np.ndarray:
     return np.stack([along, across, np.cross(along, across)], axis=1)
 
 
-def part_of(rotation: np.ndarray, share: Number) -> np.ndarray:
-    """Take a share of a rotation, about the same axis."""
-    return (Rotation.from_matrix(rotation) ** share).as_matrix()
+def part_of(rotation: np.ndarray, fraction: Number) -> np.ndarray:
+    """Take a fraction of a rotation, about the same axis."""
+    return (Rotation.from_matrix(rotation) ** fraction).as_matrix()
 
 
 def leg_rotations(skeleton: Skeleton, side: str, leg: Leg, pelvis: np.ndarray) -> dict[str, np.ndarray]:
@@ -157,10 +157,10 @@ def arm_rotations(skeleton: Skeleton, side: str, arm: Arm, chest: np.ndarray) ->
     return rotations | finger_rotations(skeleton, side, arm.curl, rotations[f"wrist.{side}"])
 
 
-def between(parent: np.ndarray, target: np.ndarray, along: np.ndarray, share: Number) -> np.ndarray:
-    """Take `target` with only a share of its twist about `along` against the twist-free rotation from `parent`."""
+def between(parent: np.ndarray, target: np.ndarray, along: np.ndarray, fraction: Number) -> np.ndarray:
+    """Take `target` with only a fraction of its twist about `along` against the twist-free rotation from `parent`."""
     swing = smallest_turn(parent @ along, target @ along) @ parent
-    return swing @ part_of(swing.T @ target, share)
+    return swing @ part_of(swing.T @ target, fraction)
 
 
 def finger_rotations(skeleton: Skeleton, side: str, curl: Number, wrist: np.ndarray) -> dict[str, np.ndarray]:
@@ -186,8 +186,8 @@ def bone_rotations(skeleton: Skeleton, pose: Pose) -> dict[str, np.ndarray]:
         chest = chest @ part_of(spine, 0.2)
         rotations[bone] = chest
     head = about("y", pose.look_left) @ about("x", pose.look_down) @ about("z", -pose.head_tilt)
-    for bone, share in (("neck01", 0.25), ("neck02", 0.5), ("neck03", 0.75), ("head", 1.0)):
-        rotations[bone] = chest @ part_of(chest.T @ head, share)
+    for bone, fraction in (("neck01", 0.25), ("neck02", 0.5), ("neck03", 0.75), ("head", 1.0)):
+        rotations[bone] = chest @ part_of(chest.T @ head, fraction)
     for side, leg, arm in (("L", pose.left_leg, pose.left_arm), ("R", pose.right_leg, pose.right_arm)):
         rotations |= leg_rotations(skeleton, side, leg, pelvis) | arm_rotations(skeleton, side, arm, chest)
     return rotations
@@ -198,14 +198,15 @@ def bone_transforms(skeleton: Skeleton, pose: Pose) -> tuple[np.ndarray, np.ndar
 
     A point p at rest goes to rotation @ p + offset.
     """
-    given = bone_rotations(skeleton, pose)
+    rotations = bone_rotations(skeleton, pose)
     turned = np.zeros((len(skeleton.names), 3, 3))
     heads = np.zeros_like(skeleton.heads)
     for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
         if parent < 0:
-            turned[bone], heads[bone] = given.get(name, np.eye(3)), skeleton.heads[bone]
+            turned[bone] = rotations.get(name, np.eye(3))
+            heads[bone] = skeleton.heads[bone]
             continue
-        turned[bone] = given.get(name, turned[parent])
+        turned[bone] = rotations.get(name, turned[parent])
         heads[bone] = heads[parent] + turned[parent] @ (skeleton.heads[bone] - skeleton.heads[parent])
     return turned, heads - np.einsum("jab,jb->ja", turned, skeleton.heads)
 

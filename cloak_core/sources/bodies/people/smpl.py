@@ -68,9 +68,10 @@ def read_smpl(path: str | Path) -> SmplModel:
     missing = [name for name in names if not isinstance(arrays.get(name), np.ndarray)]
     if missing:
         raise InputError(f"{path}: not an SMPL model, it lacks {', '.join(missing)}")
-    v, j = arrays["v_template"].shape[0], arrays["weights"].shape[-1]
+    v = arrays["v_template"].shape[0]
+    j = arrays["weights"].shape[-1]
     s = arrays["shapedirs"].shape[-1]
-    wanted = {
+    expected = {
         "v_template": (v, 3),
         "shapedirs": (v, 3, s),
         "posedirs": (v, 3, 9 * (j - 1)),
@@ -79,7 +80,7 @@ def read_smpl(path: str | Path) -> SmplModel:
         "kintree_table": (2, j),
         "f": (len(arrays["f"]), 3),
     }
-    wrong = [f"{n} is {arrays[n].shape}, not {shape}" for n, shape in wanted.items() if arrays[n].shape != shape]
+    wrong = [f"{n} is {arrays[n].shape}, not {shape}" for n, shape in expected.items() if arrays[n].shape != shape]
     if wrong:
         raise InputError(f"{path}: {'; '.join(wrong)}")
     for name in names[:5]:
@@ -96,7 +97,10 @@ def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplM
         raise InputError(f"{path}: kintree_table: a joint's parent does not come before it")
     if triangles.min(initial=0) < 0 or triangles.max(initial=0) >= v:
         raise InputError(f"{path}: f names vertices beyond {v}")
-    by_axis = lambda name: np.ascontiguousarray(np.moveaxis(arrays[name], 1, 0), np.float32)
+
+    def by_axis(name: str) -> np.ndarray:
+        return np.ascontiguousarray(np.moveaxis(arrays[name], 1, 0), np.float32)
+
     regressor, shapes = arrays["J_regressor"].astype(np.float64), arrays["shapedirs"].astype(np.float64)
     return SmplModel(
         template=by_axis("v_template"),
@@ -127,7 +131,8 @@ def pose_smpl(
 
     poses: axis-angle of every joint [P, 3 J] in radians; betas: [P, S'] with S' at most the model's S.
     """
-    count, v, j = len(poses), len(model.weights), model.joint_count
+    count, v = len(poses), len(model.weights)
+    j = model.joint_count
     if poses.shape[1] != 3 * j:
         raise InputError(f"poses of {poses.shape[1]} numbers, but {j} joints need {3 * j}")
     if betas.shape[1] > min(len(model.joint_basis), EXPRESSIONS_FROM):
