@@ -19,7 +19,8 @@ _STATE = "ensemble.levels"
 class Adaptive(Technique):
     """Weighs detectors by a softmax over a running mean of how surely each found a person."""
 
-    group, choice = "objective", ("ensemble", "adaptive")
+    group = "objective"
+    choice = ("ensemble", "adaptive")
 
     def __init__(self, count: int) -> None:
         # Nothing known: all see.

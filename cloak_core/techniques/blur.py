@@ -26,7 +26,8 @@ class BlurSettings:
 class Blur(Technique):
     """Blurs each finished image by its own amount."""
 
-    group, settings = "augmentation", BlurSettings
+    group = "augmentation"
+    settings = BlurSettings
     order = 1  # a camera's lens comes after where it looks
 
     def __init__(self, most: float) -> None:

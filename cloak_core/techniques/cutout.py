@@ -27,23 +27,24 @@ class CutoutSettings:
 class Cutout(Technique):
     """Hides the colours nearest to a random one."""
 
-    group, settings = "augmentation", CutoutSettings
+    group = "augmentation"
+    settings = CutoutSettings
 
-    def __init__(self, share: float, centres: Float[np.ndarray, "C D"]) -> None:
-        """share: of the colours, at most; centres: where they lie, metres."""
-        self.share, self.centres = share, centres
+    def __init__(self, most: float, centres: Float[np.ndarray, "C D"]) -> None:
+        """most: largest fraction of the colours; centres: where they lie, metres."""
+        self.most, self.centres = most, centres
 
     @classmethod
     def build(cls, setup: Setup) -> Cutout | None:
-        share = setup.settings.augmentation.cutout
-        return cls(share, setup.worn.centres) if share else None
+        most = setup.settings.augmentation.cutout
+        return cls(most, setup.worn.centres) if most else None
 
     def hidden(self, seeds: Int[np.ndarray, " B"]) -> Bool[np.ndarray, "B C"]:
         hidden = np.zeros((len(seeds), len(self.centres)), bool)
         for row, seed in zip(hidden, seeds, strict=True):
             random = np.random.default_rng([seed, _STREAM])
             about = self.centres[random.integers(len(row))]
-            count = round(random.uniform(0, self.share) * len(row))
+            count = round(random.uniform(0, self.most) * len(row))
             apart = ((self.centres - about) ** 2).sum(1)
             row[np.argsort(apart, kind="stable")[:count]] = True
         return hidden

@@ -22,7 +22,8 @@ class InitSettings:
 class Init(Technique):
     """Gives the first colours of the logo's faces."""
 
-    group, settings = "optimization", InitSettings
+    group = "optimization"
+    settings = InitSettings
     files = (("init", "start"),)
     order = -1  # the other colours are told by it
 

@@ -39,12 +39,13 @@ class InksSettings:
 class Inks(Technique):
     """The colours there are: given ones, or so many learnt, or so many chosen among given ones."""
 
-    group, settings = "pattern", InksSettings
+    group = "pattern"
+    settings = InksSettings
     is_exact = bars_search = True
 
-    def __init__(self, most: int, given: Float[torch.Tensor, "P 3"] | None = None) -> None:
-        self.most, self.given = most, given
-        self.rows = most if given is None or len(given) > most else 0
+    def __init__(self, most: int, fixed: Float[torch.Tensor, "P 3"] | None = None) -> None:
+        self.most, self.fixed = most, fixed
+        self.rows = most if fixed is None or len(fixed) > most else 0
         """How many inks are free parameters."""
         self.progress = 0.0
         """How far the run is, 0 to 1: the temperature hangs on it."""
@@ -53,11 +54,12 @@ class Inks(Technique):
     def build(cls, setup: Setup) -> Inks | None:
         from cloak_core.techniques.printability import palette_of
 
-        most, palette = setup.settings.pattern.colors_at_most, palette_of(setup)
+        most = setup.settings.pattern.colors_at_most
+        palette = palette_of(setup)
         if most is None:
             return None
-        given = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=setup.device)
-        return cls(most, given)
+        fixed = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=setup.device)
+        return cls(most, fixed)
 
     def choose(
         self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"], tone: Callable, is_final: bool
@@ -72,11 +74,11 @@ class Inks(Technique):
         self, own: Float[torch.Tensor, "rows 3"], patches: int, tone: Callable, temperature: float | None
     ) -> Float[torch.Tensor, "K 3"]:
         if not self.rows:
-            return self.given
+            return self.fixed
         # An ink's gradient is the sum of its patches'; made their mean, it moves as they do under every optimiser.
         part = self.rows / patches
         inks = tone(part * own + (1 - part) * own.detach())
-        return inks if self.given is None else assigned(inks, self.given, temperature)
+        return inks if self.fixed is None else assigned(inks, self.fixed, temperature)
 
     def reach(self, step: int, steps: int, values: Callable) -> Float[np.ndarray, "rows 3"] | None:
         """Begin inks that are learnt as means of clusters of the values; leave them where these are few."""
@@ -92,11 +94,11 @@ class Inks(Technique):
 
     def first_rows(self, untone: Callable) -> Float[np.ndarray, "rows 3"]:
         """Choose inks far apart among all there may be, which a run that ends early has to go by."""
-        if self.given is None:
+        if self.fixed is None:
             steps = np.linspace(0.1, 0.9, 5)
             candidates = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         else:
-            candidates = untone(self.given.cpu().numpy())
+            candidates = untone(self.fixed.cpu().numpy())
         return far_apart(candidates, self.rows).astype(np.float32)
 
 

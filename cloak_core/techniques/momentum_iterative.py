@@ -11,7 +11,8 @@ torch = Lazy("torch")
 class MomentumIterative(Technique):
     """Moves every colour by the learning rate, to the side on which the momentum lies."""
 
-    group, choice = "optimization", ("optimizer", "mi")
+    group = "optimization"
+    choice = ("optimizer", "mi")
     memory = frozenset({"momentum_buffer"})
 
     def __init__(self, momentum: float) -> None:

@@ -50,7 +50,8 @@ class NearSettings:
 class Near(Technique):
     """A garment's colours, and how far from them all faces together may be."""
 
-    group, settings = "pattern", NearSettings
+    group = "pattern"
+    settings = NearSettings
     files = (("near", "near"),)
     is_exact = bars_search = True
 
@@ -67,17 +68,17 @@ class Near(Technique):
         from cloak_core.sources.bodies.logos.garment_colors import garment_colors
         from cloak_core.zoo.starting import read_start
 
-        wanted, worn = setup.settings.pattern, setup.worn
-        if wanted.near is None:
+        settings, worn = setup.settings.pattern, setup.worn
+        if settings.near is None:
             return None
-        garment = garment_colors(wanted.near, worn.bodies, worn.logo)
-        garment = read_start(Path(wanted.near), worn.logo, "--near") if garment is None else garment
-        if wanted.colors_at_most is not None:
+        garment = garment_colors(settings.near, worn.bodies, worn.logo)
+        garment = read_start(Path(settings.near), worn.logo, "--near") if garment is None else garment
+        if settings.colors_at_most is not None:
             if len(np.unique(garment, axis=0)) > 1:
                 raise InputError("--near: with --colors-at-most the garment must have one colour")
             if setup.settings.objective.palette is not None:
                 raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
-        return cls(worn.shared(garment), wanted.within, wanted.within_most or 2 * wanted.within)
+        return cls(worn.shared(garment), settings.within, settings.within_most or 2 * settings.within)
 
     def distances(self, colors: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, " L"]:
         """Compute each face's CIEDE2000 from the garment."""
@@ -101,27 +102,27 @@ class Near(Technique):
         """
         own = colors.detach().cpu().numpy()
         far = self.distances(own)
-        wanted = self._wanted(far)
-        rows = np.flatnonzero(wanted < far)
+        allowed = self._allowed(far)
+        rows = np.flatnonzero(allowed < far)
         if not len(rows):
             return colors
         own = own.copy()
-        own[rows] = self._moved(own[rows], self.garment[rows], wanted[rows])
+        own[rows] = self._moved(own[rows], self.garment[rows], allowed[rows])
         return torch.from_numpy(own).to(colors)
 
-    def _wanted(self, far: Float[np.ndarray, " L"]) -> Float[np.ndarray, " L"]:
+    def _allowed(self, far: Float[np.ndarray, " L"]) -> Float[np.ndarray, " L"]:
         """Find each face's largest distance so that both bounds hold together."""
         place = math.ceil(0.95 * (len(far) - 1))  # of the largest that the percentile looks at
-        wanted = np.minimum(far, self.most) if np.sort(far)[place] > self.most else far
-        if wanted is not far:
+        allowed = np.minimum(far, self.most) if np.sort(far)[place] > self.most else far
+        if allowed is not far:
             # The few that a percentile does not see may stay; of equal ones all or none.
-            wanted = np.where(far > np.sort(far)[place], far, wanted)
-        if wanted.mean() <= self.mean:
-            return wanted
-        return np.maximum(wanted - _threshold(wanted, self.mean * len(wanted)), 0)
+            allowed = np.where(far > np.sort(far)[place], far, allowed)
+        if allowed.mean() <= self.mean:
+            return allowed
+        return np.maximum(allowed - _threshold(allowed, self.mean * len(allowed)), 0)
 
     def _moved(
-        self, colors: Float[np.ndarray, "n 3"], garment: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, " n"]
+        self, colors: Float[np.ndarray, "n 3"], garment: Float[np.ndarray, "n 3"], allowed: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "n 3"]:
         """Find the farthest place on the line from the garment to each colour that is near enough."""
         low, high = np.zeros(len(colors)), np.ones(len(colors))
@@ -130,7 +131,7 @@ class Near(Technique):
         for _ in range(HALVINGS):
             middle = (low + high) / 2
             tried = (garment + middle[:, None] * (colors - garment)).astype(np.float32)
-            near = de2000(lab(tried), base) <= wanted
+            near = de2000(lab(tried), base) <= allowed
             reached[near] = tried[near]
             low, high = np.where(near, middle, low), np.where(near, high, middle)
         return reached

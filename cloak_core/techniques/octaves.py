@@ -43,7 +43,8 @@ class Octaves(Technique):
     period: what repeats in every dimension (None: nothing does), into which a whole number of nodes is fitted.
     """
 
-    group, settings = "optimization", OctavesSettings
+    group = "optimization"
+    settings = OctavesSettings
     bars_search = True
 
     def __init__(

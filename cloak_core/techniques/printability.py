@@ -37,7 +37,8 @@ class PrintabilitySettings:
 class Printability(Technique):
     """Adds the mean distance to the palette to the loss."""
 
-    group, settings = "objective", PrintabilitySettings
+    group = "objective"
+    settings = PrintabilitySettings
     files = (("palette", "palette"),)
 
     def __init__(self, weight: float, palette: Float[np.ndarray, "P 3"], device: torch.device) -> None:

@@ -25,7 +25,8 @@ class ProfileSettings:
 class Photographed(Technique):
     """Values are what is sent to the printer, colours what is photographed."""
 
-    group, settings = "pattern", ProfileSettings
+    group = "pattern"
+    settings = ProfileSettings
     files = (("profile", "profile"),)
     bars_search = True
 

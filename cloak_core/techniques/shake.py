@@ -40,7 +40,8 @@ class ShakeSettings:
 class Shake(Technique):
     """Makes a context for each detector and step in which the detector's network is another one."""
 
-    group, settings = "surrogates", ShakeSettings
+    group = "surrogates"
+    settings = ShakeSettings
 
     def __init__(self, reach: float, seed: int) -> None:
         self.reach, self.seed = reach, seed

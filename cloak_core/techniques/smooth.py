@@ -30,7 +30,8 @@ class Smoothing(Technique):
     mean colour stays, and the gradient goes through the same matrix.
     """
 
-    group, settings = "optimization", SmoothSettings
+    group = "optimization"
+    settings = SmoothSettings
 
     def __init__(
         self, edges: Int[np.ndarray, "E 2"], count: int, rounds: int, device: torch.device | str = "cpu"

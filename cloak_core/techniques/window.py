@@ -28,7 +28,8 @@ class WindowSettings:
 class Window(Technique):
     """Shows a window of each image, or the image within one."""
 
-    group, settings = "augmentation", WindowSettings
+    group = "augmentation"
+    settings = WindowSettings
 
     def __init__(self, crop: float, pad: float) -> None:
         self.crop, self.pad = crop, pad
@@ -63,8 +64,8 @@ class Windows(Distortion):
 def draw_window(random: np.random.Generator, crop: float, pad: float) -> tuple[float, float, float]:
     """Draw one image's window: up to a share `crop` cut away, or up to `pad` of margin; side, centre x, centre y."""
     is_crop = random.random() < 0.5 if crop and pad else bool(crop)
-    share = random.uniform(0, crop if is_crop else pad)
-    side = 1 - share if is_crop else 1 / (1 - share)
+    amount = random.uniform(0, crop if is_crop else pad)
+    side = 1 - amount if is_crop else 1 / (1 - amount)
     x, y = random.uniform(-1, 1, 2) * abs(1 - side)
     return side, x, y
 
