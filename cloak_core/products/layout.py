@@ -107,14 +107,16 @@ def pattern_pieces(
     corners = welded(bodies.vertices[0], SAME)[bodies.triangles[chosen]] * len(bodies.uv) + uv
     ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     _, edge = np.unique(ends, axis=0, return_inverse=True)
-    owner, edge = np.repeat(np.arange(len(chosen)), 3), edge.reshape(-1)
+    owner = np.repeat(np.arange(len(chosen)), 3)
+    edge = edge.reshape(-1)
     joined = coo_array((np.ones(len(edge)), (owner, len(chosen) + edge)), shape=(len(chosen) + edge.max() + 1,) * 2)
     chart = connected_components(joined, directed=False)[1][: len(chosen)]
     chart = np.unique(chart, return_inverse=True)[1].reshape(-1)
     _, first, index = np.unique(
         np.stack([np.repeat(chart, 3), corners.reshape(-1)], axis=1), axis=0, return_index=True, return_inverse=True
     )
-    flat, index = bodies.uv[bodies.triangle_uv[chosen].reshape(-1)[first]].astype(np.float64), index.reshape(-1, 3)
+    flat = bodies.uv[bodies.triangle_uv[chosen].reshape(-1)[first]].astype(np.float64)
+    index = index.reshape(-1, 3)
     on_map = np.bincount(chart, weights=np.abs(signed_areas(flat[index])))
     if (on_map <= 1e-12).any():
         raise InputError(f"{bodies.name}: a piece of its UV map has no area")
@@ -147,9 +149,9 @@ def pack(
 
 def lows(points: Float[np.ndarray, "n 2"], chart: Integer[np.ndarray, " n"]) -> Float[np.ndarray, "charts 2"]:
     """Find each chart's lower left corner."""
-    found = np.full((int(chart.max()) + 1, 2), np.inf)
-    np.minimum.at(found, chart, points)
-    return found
+    lowest = np.full((int(chart.max()) + 1, 2), np.inf)
+    np.minimum.at(lowest, chart, points)
+    return lowest
 
 
 def welded(points: Float[np.ndarray, "n d"], within: float) -> Integer[np.ndarray, " n"]:
@@ -167,10 +169,10 @@ def apart(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> F
 def stand_up(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> None:
     """Turn charts that are wider than high by a quarter, in place: upright paper takes them in fewer pieces."""
     for number in range(int(chart.max()) + 1):
-        mine = flat[chart == number]
-        width, height = np.ptp(mine, axis=0)
+        corners = flat[chart == number]
+        width, height = np.ptp(corners, axis=0)
         if width > height:
-            flat[chart == number] = mine[:, ::-1] * [-1, 1]
+            flat[chart == number] = corners[:, ::-1] * [-1, 1]
 
 
 def pack_options() -> xatlas.PackOptions:

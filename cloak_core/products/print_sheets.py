@@ -32,7 +32,7 @@ def chart_names(layout: Layout, bodies: Bodies) -> list[str]:
     for chart in range(layout.chart_count):
         faces = bodies.triangle_face[layout.triangles[layout.chart == chart]]
         inside = {name: mask[faces].mean() for name, mask in bodies.regions.items() if name != "front"}
-        likely = [name for name, share in inside.items() if share > 0.5]
+        likely = [name for name, rate in inside.items() if rate > 0.5]
         best = min(likely, key=lambda name: bodies.regions[name].sum(), default="")
         names.append(f"{chart + 1} {best}".strip())
     return names
@@ -48,14 +48,16 @@ def write_sheets(
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure
 
-    borders, marks = find_borders(layout, bodies), seam_marks(layout, bodies)
+    borders = find_borders(layout, bodies)
+    marks = seam_marks(layout, bodies)
     charts = [
         Chart(name, borders.lines[borders.chart == number], [mark for mark in marks if mark.chart == number])
         for number, name in enumerate(chart_names(layout, bodies))
     ]
-    found = tiles(layout, page, allowance)
-    all_pages = list(pages(found, page))
-    size, count = PAGES[page], len(all_pages) + 1
+    all_tiles = tiles(layout, page, allowance)
+    all_pages = list(pages(all_tiles, page))
+    size = PAGES[page]
+    count = len(all_pages) + 1
     with PdfPages(path, metadata={"Creator": "cloak", "Producer": None, "CreationDate": None}) as pdf:
         for number, placed in enumerate([[], *all_pages], start=1):
             figure = Figure(figsize=(size[0] / 0.0254, size[1] / 0.0254))
@@ -65,7 +67,7 @@ def write_sheets(
                 draw_overview(axes, layout, texture, [chart.name for chart in charts], all_pages, page)
             for tile, x, y in placed:
                 draw_tile(axes, layout, texture, charts[tile.chart], tile, (x, y), allowance)
-                draw_glue_lines(axes, tile, neighbours(tile, found), (x, y))
+                draw_glue_lines(axes, tile, neighbours(tile, all_tiles), (x, y))
             draw_foot(axes, f"{title}, {page}, page {number} of {count}; print at 100 %", bar=number > 1)
             axes.set(xlim=(0, size[0]), ylim=(0, size[1]))
             pdf.savefig(figure)
@@ -116,9 +118,9 @@ def draw_colors(axes: Axes, layout: Layout, texture: Texture, tile: Tile, shift:
     extent = np.array([x0, x1, y0, y1]) / dots + np.repeat(shift, 2)
     picture = axes.imshow(crop, extent=extent, interpolation="none", origin="upper", aspect="auto", zorder=2)
     # Neighbouring charts reach into the window: show only this one's triangles.
-    mine = layout.corners[layout.chart == tile.chart] + shift
-    closed = np.concatenate([mine, mine[:, :1]], axis=1).reshape(-1, 2)
-    codes = np.tile([Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY], len(mine))
+    triangles = layout.corners[layout.chart == tile.chart] + shift
+    closed = np.concatenate([triangles, triangles[:, :1]], axis=1).reshape(-1, 2)
+    codes = np.tile([Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY], len(triangles))
     picture.set_clip_path(Outline(closed, codes), axes.transData)
 
 
@@ -208,10 +210,10 @@ def draw_overview(
             words += f", part {tile.part}" * bool(tile.part)
             axes.text(*(start + size / 2), words, fontsize=5, ha="center", va="center", bbox=box, zorder=3)
     count = sum(map(len, placed))
-    told = [
+    facts = [
         f"{layout.chart_count} pieces in {count} parts, on {len(placed)} more pages; here 1 : {1 / scale:.1f}.",
         f"Print at 100 % and check the bar of 100 mm. Parts of a piece overlap by {1000 * OVERLAP:.0f} mm: lay the",
         "edge of the part that is named on its dashed line. Letters along borders meet when pieces are sewn.",
     ]
-    for line, words in enumerate(told):
+    for line, words in enumerate(facts):
         axes.text(MARGIN, height - MARGIN - 0.004 - 0.005 * line, words, fontsize=7)

@@ -135,10 +135,10 @@ def printable() -> Float[np.ndarray, "mixtures 3"]:
     """
     amount = np.linspace(0, 1, STEPS)
     c, m, y = (axis.reshape(-1, 1) for axis in np.meshgrid(amount, amount, amount, indexing="ij"))
-    share = np.concatenate(
+    weights = np.concatenate(
         [(c if i & 4 else 1 - c) * (m if i & 2 else 1 - m) * (y if i & 1 else 1 - y) for i in range(8)], axis=1
     )
-    return to_srgb(share @ to_linear(OVERPRINTS / 255))
+    return to_srgb(weights @ to_linear(OVERPRINTS / 255))
 
 
 def nearest_printable(colors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:

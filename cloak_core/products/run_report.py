@@ -70,7 +70,8 @@ def _turntable(run: Path, stored: StoredEvaluation | None) -> str | None:
 
 
 def _evaluation(stored: StoredEvaluation) -> dict:
-    summary, pictures, folder = stored.summary, stored.pictures, stored.folder / "pictures"
+    summary, pictures = stored.summary, stored.pictures
+    folder = stored.folder / "pictures"
     specs = list(summary["detectors"])
     shown = [_pair(folder, specs, pair) for pair in pictures["gallery"]]
     gallery = [(body, list(pairs)) for body, pairs in groupby(shown, key=itemgetter("body"))]
@@ -94,7 +95,8 @@ def _photographs(stored: StoredEvaluation) -> dict:
 
     Detectors that the colours were never trained against come first.
     """
-    summary, pictures, folder = stored.summary, stored.pictures, stored.folder / "pictures"
+    summary, pictures = stored.summary, stored.pictures
+    folder = stored.folder / "pictures"
     specs = sorted(summary["detectors"], key=lambda spec: summary["white_box"].get(spec) is not False)
     summary = summary | {"detectors": {spec: summary["detectors"][spec] for spec in specs}}
     controls = stored.results.controls
@@ -126,8 +128,10 @@ def _photographs(stored: StoredEvaluation) -> dict:
 
 
 def _detector(stored: StoredEvaluation, d: int, spec: str) -> dict:
-    results, summary, folder = stored.results, stored.summary, stored.folder / "pictures"
-    rates, threshold = summary["detectors"][spec], summary["settings"]["threshold"]
+    results, summary = stored.results, stored.summary
+    folder = stored.folder / "pictures"
+    rates = summary["detectors"][spec]
+    threshold = summary["settings"]["threshold"]
     logo = results.rows(spec, results.controls[0])
     figures = plots.evaluation_figures(results, spec, threshold)
     worst = stored.pictures.get("worst", {}).get(spec, [])
@@ -152,5 +156,5 @@ def _pair(folder: Path, specs: list[str], pair: dict) -> dict:
     return _label(pair) | {control: shot(folder, specs, pair[control]) for control in ("clothing", "logo")}
 
 
-def _label(told: dict) -> dict:
-    return {key: told.get(key) for key in ("body", "angle", "distance", "background")}
+def _label(trial: dict) -> dict:
+    return {key: trial.get(key) for key in ("body", "angle", "distance", "background")}

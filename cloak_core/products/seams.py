@@ -78,8 +78,8 @@ def _seams(borders: Borders) -> list[list[tuple[int, int]]]:
     between: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
     for pair in sides.values():
         if len(pair) == 2:
-            one, other = sorted(pair, key=lambda edge: (borders.chart[edge], edge))
-            between[int(borders.chart[one]), int(borders.chart[other])].append((one, other))
+            edge_a, edge_b = sorted(pair, key=lambda edge: (borders.chart[edge], edge))
+            between[int(borders.chart[edge_a]), int(borders.chart[edge_b])].append((edge_a, edge_b))
     return [path for charts in sorted(between) for path in _paths(borders, between[charts])]
 
 
@@ -95,7 +95,8 @@ def _paths(borders: Borders, edges: list[tuple[int, int]]) -> list[list[tuple[in
     paths = []
     for start in starts:
         while any(edge in left for edge in at[start]):
-            path, vertex = [], start
+            path = []
+            vertex = start
             while True:
                 following = [edge for edge in at[vertex] if edge in left]
                 if not following or (path and len(at[vertex]) != 2):
@@ -108,19 +109,19 @@ def _paths(borders: Borders, edges: list[tuple[int, int]]) -> list[list[tuple[in
 
 
 def _marks(borders: Borders, seam: list[tuple[int, int]], letters: str) -> list[Mark]:
-    lengths = borders.lengths[[one for one, _ in seam]]
+    lengths = borders.lengths[[edge for edge, _ in seam]]
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     count = max(1, round(along[-1] / SPACING))
     marks = []
     for number in range(count):
         place = along[-1] * (number + 0.5) / count
         step = min(int(np.searchsorted(along, place, side="right")) - 1, len(seam) - 1)
-        share = (place - along[step]) / max(lengths[step], 1e-12)
+        fraction = (place - along[step]) / max(lengths[step], 1e-12)
         name = f"{letters}{number + 1}" if count > 1 else letters
         for edge in seam[step]:
             # Measured from the same vertex on both sides, whichever way round each triangle goes.
             start, end = borders.lines[edge]
-            ahead = share if borders.ends[edge, 0] == _entry(borders, seam, step) else 1 - share
+            ahead = fraction if borders.ends[edge, 0] == _entry(borders, seam, step) else 1 - fraction
             direction = end - start
             outwards = np.array([direction[1], -direction[0]]) / max(np.linalg.norm(direction), 1e-12)
             marks.append(Mark(name, int(borders.chart[edge]), start + ahead * direction, outwards))

@@ -65,7 +65,7 @@ def tiles(layout: Layout, page: str, allowance: float = 0.0) -> list[Tile]:
     width, height = PAGES[page]
     around = max(PADDING, allowance + LINE)
     room = np.array([width - 2 * MARGIN, height - 2 * MARGIN - FOOT])
-    found = []
+    all_tiles = []
     for chart in range(layout.chart_count):
         cloth = cloth_of(layout, chart, around)
         extent = np.array(cloth.cells.shape[::-1]) * CELL
@@ -75,11 +75,11 @@ def tiles(layout: Layout, page: str, allowance: float = 0.0) -> list[Tile]:
         tried = [_needed(cloth, cloth.low - slack * moved + grid, room) for moved in PLACES]
         kept = min(tried, key=lambda windows: (len(windows), sum(float(np.prod(b - a)) for a, b in windows)))
         many = len(kept) > 1
-        found += [
+        all_tiles += [
             Tile(chart, tuple(low.tolist()), tuple(high.tolist()), many * number, len(kept))
             for number, (low, high) in enumerate(kept, start=1)
         ]
-    return found
+    return all_tiles
 
 
 def cloth_of(layout: Layout, chart: int, around: float) -> Cloth:
@@ -120,18 +120,18 @@ def _needed(
     return [cut[index] for index in sorted(kept)]
 
 
-def pages(found: list[Tile], page: str) -> Iterator[list[tuple[Tile, float, float]]]:
+def pages(all_tiles: list[Tile], page: str) -> Iterator[list[tuple[Tile, float, float]]]:
     """Place tiles on pages, the tallest first, each on the first page with room for it.
 
     Yields (tile, x, y of its lower left corner in metres from the page's). Parts of a chart keep their numbers.
     """
     width, height = PAGES[page]
     filled: list[Page] = []
-    for tile in sorted(found, key=lambda t: t.low[1] - t.high[1]):
-        if not any(one.takes(tile) for one in filled):
+    for tile in sorted(all_tiles, key=lambda t: t.low[1] - t.high[1]):
+        if not any(sheet.takes(tile) for sheet in filled):
             filled.append(Page(width, MARGIN + FOOT, height - MARGIN))
             filled[-1].takes(tile)
-    yield from (one.tiles for one in filled)
+    yield from (sheet.tiles for sheet in filled)
 
 
 class Page:
@@ -160,7 +160,10 @@ class Page:
         return True
 
 
-def neighbours(tile: Tile, found: list[Tile]) -> list[Tile]:
+def neighbours(tile: Tile, all_tiles: list[Tile]) -> list[Tile]:
     """Find the other parts of its chart whose windows overlap a tile's."""
-    apart = lambda other: any(other.low[a] >= tile.high[a] or tile.low[a] >= other.high[a] for a in (0, 1))
-    return [other for other in found if other.chart == tile.chart and other != tile and not apart(other)]
+
+    def apart(other: Tile) -> bool:
+        return any(other.low[axis] >= tile.high[axis] or tile.low[axis] >= other.high[axis] for axis in (0, 1))
+
+    return [other for other in all_tiles if other.chart == tile.chart and other != tile and not apart(other)]

@@ -93,8 +93,8 @@ def logo_under(target: Bodies, source: Bodies, position: np.ndarray, reach: floa
         return empty, (empty, empty, np.zeros(0))
     points = np.einsum("pk,tkc->tpc", PLACES, triangles[near]).reshape(-1, 3)
     area, normals = sizes(target)
-    found = nearest_triangles(points, np.repeat(normals[near], len(PLACES), axis=0), solid[around], reach)
-    face = np.where(found.triangle >= 0, position[source.triangle_face[around][found.triangle]], -1)
+    nearest = nearest_triangles(points, np.repeat(normals[near], len(PLACES), axis=0), solid[around], reach)
+    face = np.where(nearest.triangle >= 0, position[source.triangle_face[around][nearest.triangle]], -1)
     weight = np.repeat(area[near] / len(PLACES), len(PLACES))
     owner = np.repeat(target.triangle_face[near], len(PLACES))
     on_logo = np.bincount(owner[face >= 0], weights=weight[face >= 0], minlength=target.face_count)
@@ -135,16 +135,17 @@ def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -
 
 def missed(source: Bodies, face_ids: np.ndarray, target: Bodies, reach: float) -> tuple[np.ndarray, float]:
     """Find logo faces without a surface of the target in reach facing their way, and the others' largest distance."""
-    mine = np.flatnonzero(np.isin(source.triangle_face, face_ids))
-    solid, triangles = solids(source)[mine], solids(target)
+    own = np.flatnonzero(np.isin(source.triangle_face, face_ids))
+    solid = solids(source)[own]
+    triangles = solids(target)
     near = within(triangles, solid, 2 * reach)
     if not near.any():
         return np.asarray(face_ids, np.int64), 0.0
-    normals = sizes(source)[1][mine]
-    found = nearest_triangles(solid.mean(axis=1), normals, triangles[near], reach)
-    reached = found.triangle >= 0
-    lost = np.setdiff1d(face_ids, source.triangle_face[mine[reached]]).astype(np.int64)
-    return lost, float(found.distance[reached].max(initial=0))
+    normals = sizes(source)[1][own]
+    nearest = nearest_triangles(solid.mean(axis=1), normals, triangles[near], reach)
+    reached = nearest.triangle >= 0
+    lost = np.setdiff1d(face_ids, source.triangle_face[own[reached]]).astype(np.int64)
+    return lost, float(nearest.distance[reached].max(initial=0))
 
 
 CANDIDATES = 32
@@ -175,11 +176,14 @@ def nearest_triangles(
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     facing = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     centroid = triangles.mean(axis=1)
-    tree, radius = KDTree(centroid), np.linalg.norm(triangles - centroid[:, None], axis=2).max()
-    found = Nearest(np.full(len(points), -1, np.int64), np.full(len(points), np.inf))
-    count, left = CANDIDATES, np.arange(len(points))
+    tree = KDTree(centroid)
+    radius = np.linalg.norm(triangles - centroid[:, None], axis=2).max()
+    nearest = Nearest(np.full(len(points), -1, np.int64), np.full(len(points), np.inf))
+    count = CANDIDATES
+    left = np.arange(len(points))
     while len(left):
-        count, further = min(count, len(triangles)), []
+        count = min(count, len(triangles))
+        further = []
         for part in np.array_split(left, len(left) * count // PAIRS + 1):
             away, chosen = tree.query(points[part], np.arange(1, count + 1))
             row, column = np.nonzero(np.einsum("nk,nck->nc", normals[part], facing[chosen]) >= LEAST_COSINE)
@@ -188,12 +192,12 @@ def nearest_triangles(
             best = exact.argmin(axis=1)[:, None]
             distance = np.take_along_axis(exact, best, axis=1)[:, 0]
             near = distance <= reach
-            found.triangle[part[near]] = np.take_along_axis(chosen, best, axis=1)[near, 0]
-            found.distance[part[near]] = distance[near]
+            nearest.triangle[part[near]] = np.take_along_axis(chosen, best, axis=1)[near, 0]
+            nearest.distance[part[near]] = distance[near]
             further.append(part[~near & (away[:, -1] <= reach + radius)])
         left = np.concatenate(further) if count < len(triangles) else left[:0]
         count *= 4
-    return found
+    return nearest
 
 
 def point_distances(points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:

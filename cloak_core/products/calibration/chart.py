@@ -74,8 +74,8 @@ def write_chart(path: Path, dpi: int = 300) -> None:
     for centre, color in zip(patch_centres(), patch_colors(), strict=True):
         axes.add_patch(Rectangle(centre - extent / 2, *extent, color=tuple(color), linewidth=0))
     for mark in MARKS:
-        for share, color in ((1, "black"), (5 / 7, "white"), (3 / 7, "black")):
-            side = MARK * share
+        for scale, color in ((1, "black"), (5 / 7, "white"), (3 / 7, "black")):
+            side = MARK * scale
             axes.add_patch(Rectangle(mark - side / 2, side, side, color=color, linewidth=0))
     draw_foot(
         axes, "cloak calibrate: print as the sheets will be printed, then photograph flat, all four marks in view"

@@ -56,7 +56,8 @@ def read_patches(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray
             )
         except ValueError as error:
             raise InputError(f"{path}:{reader.line_num}: {first_line(error)}") from None
-    sent, seen = np.array(sent).reshape(-1, 3) / 255, np.array(seen, np.float64).reshape(-1, 3)
+    sent = np.array(sent).reshape(-1, 3) / 255
+    seen = np.array(seen, np.float64).reshape(-1, 3)
     return sent, seen / 255 if measured is SEEN else from_lab(seen)
 
 
@@ -90,7 +91,8 @@ def read_icc(path: Path) -> Profile:
     try:
         printer = ImageCms.ImageCmsProfile(io.BytesIO(read_bytes(path, MAX_BYTES)))
         space = printer.profile.xcolor_space.strip()
-        srgb, intent = ImageCms.createProfile("sRGB"), ImageCms.Intent.RELATIVE_COLORIMETRIC
+        srgb = ImageCms.createProfile("sRGB")
+        intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
         if space == "CMYK":
             there = ImageCms.buildTransform(srgb, printer, "RGB", "CMYK", intent)
             picture = ImageCms.applyTransform(picture, there)
@@ -125,7 +127,8 @@ def fit_profile(sent: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 3"]) 
         raise InputError(f"{len(sent)} patches were measured, and a profile takes at least {LEAST}")
     if np.linalg.matrix_rank(sent - sent.mean(axis=0), tol=0.1) < 3:
         raise InputError("the patches that were measured do not differ in red, green and blue")
-    weights, bends = interpolation(sent), _bends()
+    weights = interpolation(sent)
+    bends = _bends()
     fold = np.random.default_rng(0).permutation(len(sent)) % FOLDS
     errors = {}
     for smooth in WEIGHTS:
@@ -146,8 +149,8 @@ def interpolation(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n entrie
     low = np.minimum(place.astype(np.int64), STEPS - 2)
     weights = np.zeros((len(sent), STEPS**3))
     for corner in itertools.product((0, 1), repeat=3):
-        share = np.where(corner, place - low, 1 - (place - low)).prod(axis=1)
-        weights[np.arange(len(sent)), _entry(low + corner)] += share
+        weight = np.where(corner, place - low, 1 - (place - low)).prod(axis=1)
+        weights[np.arange(len(sent)), _entry(low + corner)] += weight
     return weights
 
 
@@ -158,8 +161,13 @@ def _entry(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 def _bends() -> Float[np.ndarray, "entries entries"]:
     """Build the quadratic form of the table's second differences along each channel."""
     second = np.diff(np.eye(STEPS), n=2, axis=0)
-    one, form = np.eye(STEPS), second.T @ second
-    return np.kron(np.kron(form, one), one) + np.kron(np.kron(one, form), one) + np.kron(np.kron(one, one), form)
+    identity = np.eye(STEPS)
+    form = second.T @ second
+    return (
+        np.kron(np.kron(form, identity), identity)
+        + np.kron(np.kron(identity, form), identity)
+        + np.kron(np.kron(identity, identity), form)
+    )
 
 
 def _solved(weights: np.ndarray, seen: np.ndarray, bends: np.ndarray, smooth: float) -> Float[np.ndarray, "entries 3"]:

@@ -36,23 +36,23 @@ def read_photograph(path: Path) -> Float[np.ndarray, "352 3"]:
 
     with open_picture(path) as picture:
         pixels = np.asarray(ImageOps.exif_transpose(picture).convert("RGB"), np.float32) / 255
-    way = _place_chart(pixels, path)
+    homography = _place_chart(pixels, path)
     corner, opposite = (
-        _projected(way, patch_centres()[:1] - patch_size() / 2),
-        _projected(way, patch_centres()[:1] + patch_size() / 2),
+        _projected(homography, patch_centres()[:1] - patch_size() / 2),
+        _projected(homography, patch_centres()[:1] + patch_size() / 2),
     )
     if np.abs(opposite - corner).min() < LEAST_PATCH:
         raise InputError(f"{path}: the chart's patches are under {LEAST_PATCH:g} pixels; photograph it from nearer")
-    seen = to_linear(_means(pixels, way, patch_centres(), patch_size() * 0.6))
-    paper = to_linear(_means(pixels, way, paper_spots(), patch_size() * 0.1)).mean(axis=1)
+    seen = to_linear(_means(pixels, homography, patch_centres(), patch_size() * 0.6))
+    paper = to_linear(_means(pixels, homography, paper_spots(), patch_size() * 0.1)).mean(axis=1)
     return to_srgb((seen / _light(paper)[:, None]).clip(0, 1))
 
 
 def _light(paper: Float[np.ndarray, " spots"]) -> Float[np.ndarray, " patches"]:
     """Fit the light on each patch, over its mean: a smooth surface (quadratic in log) through the paper."""
-    known, wanted = (_powers(spots) for spots in (paper_spots(), patch_centres()))
+    known, at_patches = (_powers(spots) for spots in (paper_spots(), patch_centres()))
     fitted = np.linalg.lstsq(known, np.log(np.maximum(paper, 1e-3)), rcond=None)[0]
-    light = np.exp(wanted @ fitted)
+    light = np.exp(at_patches @ fitted)
     return light / light.mean()
 
 
@@ -67,23 +67,24 @@ def _place_chart(pixels: Float[np.ndarray, "h w 3"], path: Path) -> Float[np.nda
     if len(marks) < 4:
         raise InputError(f"{path}: {len(marks)} of the chart's four marks are to be seen")
     lightness = patch_colors().mean(axis=1)
-    best, best_way = -1.0, np.eye(3)
+    best = -1.0
+    best_homography = np.eye(3)
     for four in itertools.combinations(marks[:8], 4):
         corners = np.array(four)
         around = corners - corners.mean(axis=0)
         # Rows of a picture run downwards: counter-clockwise on the sheet is against the angle here.
         corners = corners[np.argsort(-np.arctan2(around[:, 1], around[:, 0]))]
         for turn in range(4):
-            way = _homography(MARKS, np.roll(corners, turn, axis=0))
-            if way is None:
+            homography = _homography(MARKS, np.roll(corners, turn, axis=0))
+            if homography is None:
                 continue
-            seen = _pixels_at(pixels, _projected(way, patch_centres())).mean(axis=1)
+            seen = _pixels_at(pixels, _projected(homography, patch_centres())).mean(axis=1)
             likeness = float(np.corrcoef(lightness, seen)[0, 1]) if seen.std() > 0 else -1.0
             if likeness > best:
-                best, best_way = likeness, way
+                best, best_homography = likeness, homography
     if best < LIKENESS:
         raise InputError(f"{path}: what lies between the marks is not the chart of `cloak calibrate --chart`")
-    return best_way
+    return best_homography
 
 
 def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
@@ -95,9 +96,10 @@ def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
     label, count = ndimage.label(small < 0.7 * around, structure=np.ones((3, 3)))
     numbers = np.arange(1, count + 1)
     area = ndimage.sum_labels(np.ones_like(small), label, numbers)
-    numbers, area = numbers[area >= 9], area[area >= 9]
+    numbers = numbers[area >= 9]
+    area = area[area >= 9]
     centres = np.array(ndimage.center_of_mass(np.ones_like(small), label, numbers)).reshape(-1, 2)
-    found = []
+    candidates = []
     for ring in np.argsort(-area):
         side = np.sqrt(area[ring] * 49 / 24)
         near = np.flatnonzero(np.linalg.norm(centres - centres[ring], axis=1) < 0.12 * side)
@@ -106,8 +108,8 @@ def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
             if 0.5 < ratio < 2 and side < max(small.shape) / 4:
                 # The core's centre: light that spills over an edge moves it least.
                 y, x = (centres[core] + 0.5) * step - 0.5
-                found.append((abs(np.log(ratio)), (float(x), float(y))))
-    return [place for _, place in sorted(found)]
+                candidates.append((abs(np.log(ratio)), (float(x), float(y))))
+    return [place for _, place in sorted(candidates)]
 
 
 def _homography(start: Float[np.ndarray, "4 2"], end: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "3 3"] | None:
@@ -121,18 +123,18 @@ def _homography(start: Float[np.ndarray, "4 2"], end: Float[np.ndarray, "4 2"]) 
     return np.append(np.linalg.solve(matrix, end.ravel()), 1).reshape(3, 3)
 
 
-def _projected(way: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    moved = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ way.T
+def _projected(homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    moved = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ homography.T
     return moved[:, :2] / moved[:, 2:]
 
 
 def _means(
-    pixels: Float[np.ndarray, "h w 3"], way: np.ndarray, centres: Float[np.ndarray, "n 2"], extent: np.ndarray
+    pixels: Float[np.ndarray, "h w 3"], homography: np.ndarray, centres: Float[np.ndarray, "n 2"], extent: np.ndarray
 ) -> Float[np.ndarray, "n 3"]:
     """Average the colour of each rectangle about these places of the sheet."""
     steps = np.linspace(-0.5, 0.5, 11)
     offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) * extent
-    places = _projected(way, (centres[:, None] + offsets).reshape(-1, 2))
+    places = _projected(homography, (centres[:, None] + offsets).reshape(-1, 2))
     return _pixels_at(pixels, places).reshape(len(centres), -1, 3).mean(axis=1)
 
 
