@@ -145,7 +145,8 @@ class Judge:
     """The errors of a view against the reference."""
 
     def __init__(self, scene: Scene, exact: Reference) -> None:
-        self.camera, self.exact, self.areas, self.crowded = scene.camera, exact.matrix, exact.areas, exact.crowded
+        self.camera = scene.camera
+        self.exact, self.areas, self.crowded = exact.matrix, exact.areas, exact.crowded
         self.colors = smooth_colors(scene.bodies)
         self.black = torch.zeros(self.camera.width * self.camera.height, 3)
         generator = torch.Generator().manual_seed(0)

@@ -75,7 +75,8 @@ def plot(result: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
     names = list(result["scenes"])
-    across, down = min(len(names), _ACROSS), -(-len(names) // _ACROSS)
+    across = min(len(names), _ACROSS)
+    down = -(-len(names) // _ACROSS)
     figure = Figure(figsize=(3.3 * across + 1, 6 * down), layout="constrained")
     panels = figure.subplots(len(_PANELS) * down, across, squeeze=False)
     for panel in panels.flat:

@@ -141,7 +141,9 @@ def sphere(triangles: int, radius: float = 0.9) -> Bodies:
     )
     vertices = np.concatenate([[[0, 1, 0]], inner.reshape(-1, 3), [[0, -1, 0]]]) * radius
     at = 1 + np.arange((rings - 1) * sectors).reshape(rings - 1, sectors)
-    a, b, c, d = at[:-1], np.roll(at, -1, 1)[:-1], np.roll(at, -1, 1)[1:], at[1:]
+    a = at[:-1]
+    b, c = np.roll(at, -1, 1)[:-1], np.roll(at, -1, 1)[1:]
+    d = at[1:]
     top, bottom = np.zeros(sectors, int), np.full(sectors, len(vertices) - 1)
     fans = [(top, at[0], np.roll(at[0], -1)), (bottom, np.roll(at[-1], -1), at[-1])]
     quads = [(a.ravel(), d.ravel(), c.ravel()), (a.ravel(), c.ravel(), b.ravel())]

@@ -28,20 +28,20 @@ Triangles = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def needles(rng: np.random.Generator, count: int) -> Triangles:
     """Triangles half a pixel wide and some 80 long, anywhere."""
-    start, along, across = (
-        rng.uniform(0, SIDE, (2, count)),
-        rng.normal(0, 60, (2, count)),
-        rng.normal(0, 0.5, (2, count)),
-    )
+    start = rng.uniform(0, SIDE, (2, count))
+    along, across = rng.normal(0, 60, (2, count)), rng.normal(0, 0.5, (2, count))
     x, y = (np.stack([s, s + a, s + w], 1) for s, a, w in zip(start, along, across, strict=True))
     return x, y, rng.uniform(0.1, 1, (count, 3))
 
 
 def hairs(rng: np.random.Generator, count: int) -> Triangles:
     """Cards about a pixel wide that hang from a disc, through one another; two triangles each."""
-    angle, radius = rng.uniform(0, 2 * np.pi, count), 60 * np.sqrt(rng.uniform(0, 1, count))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    radius = 60 * np.sqrt(rng.uniform(0, 1, count))
     x, y = 208 + radius * np.cos(angle), 120 + radius * np.sin(angle)
-    wide, high, lean = rng.normal(0, 0.8, count), rng.uniform(30, 60, count), rng.normal(0, 6, count)
+    wide = rng.normal(0, 0.8, count)
+    high = rng.uniform(30, 60, count)
+    lean = rng.normal(0, 6, count)
     left, right = np.stack([x, x + lean, x + lean + wide], 1), np.stack([x, x + lean + wide, x + wide], 1)
     upper, lower = np.stack([y, y + high, y + high], 1), np.stack([y, y + high, y], 1)
     depth = rng.uniform(0.3, 0.6, count)[:, None] + rng.normal(0, 0.01, (2, count, 3))
@@ -66,13 +66,15 @@ def check(make: Callable[[np.random.Generator, int], Triangles], count: int) -> 
     """Count pixels covered twice, one more where coverage is off; also tell the time and the sampled pixels."""
     x, y, depth = make(np.random.default_rng(0), count)
     snapped_x, snapped_y = (np.rint(t * GRID).astype(np.int64).ravel() for t in (x, y))
-    screen, triangles = screen_of(snapped_x, snapped_y, depth.ravel(), SIDE, SIDE), torch.arange(x.size).view(-1, 3).T
+    screen = screen_of(snapped_x, snapped_y, depth.ravel(), SIDE, SIDE)
+    triangles = torch.arange(x.size).view(-1, 3).T
     begun = time.process_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CrowdedPixels)
-        found = area_fragments(screen, triangles.contiguous(), None, bounding_window(screen))
-    seconds, sampled = time.process_time() - begun, sum(one.message.pixels for one in caught)
-    coverage = torch.zeros(SIDE * SIDE, dtype=torch.float64).index_add_(0, found.pixel, found.area.double())
+        fragments = area_fragments(screen, triangles.contiguous(), None, bounding_window(screen))
+    seconds = time.process_time() - begun
+    sampled = sum(warning.message.pixels for warning in caught)
+    coverage = torch.zeros(SIDE * SIDE, dtype=torch.float64).index_add_(0, fragments.pixel, fragments.area.double())
     samples = (rasterize(screen, triangles.contiguous(), 8).triangles() >= 0).double().mean(-1).view(-1)
     some = (coverage > 0) | (samples > 0)
     wrong = int((coverage > 1 + 1e-6).sum()) + int((coverage - samples)[some].abs().mean() > NEAR)

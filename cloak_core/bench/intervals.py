@@ -57,8 +57,8 @@ def designs() -> Iterator[Design]:
     sizes = ((4, 3, 1), (6, 12, 1), (16, 12, 1), (16, 3, 1), (8, 6, 3))
     for size, truth, sd in itertools.product(sizes, (0.9, 0.966, 0.995), (0.0, 1.0, 2.0, 3.0)):
         yield Design(*size, truth, sd, 0.0)
-    for bodies, seeds, truth, share in itertools.product((4, 8, 16), (1, 3), (0.97, 0.995), (0.05, 0.1)):
-        yield Design(bodies, 6, seeds, truth, 0.5, share)
+    for bodies, seeds, truth, never_hidden in itertools.product((4, 8, 16), (1, 3), (0.97, 0.995), (0.05, 0.1)):
+        yield Design(bodies, 6, seeds, truth, 0.5, never_hidden)
 
 
 def simulate(design: Design, rng: np.random.Generator) -> Draw:
@@ -90,7 +90,8 @@ def korn_graubard(draw: Draw) -> Bounds:
     The effective size is at most the number of bodies: images of one body are no independent draws.
     """
     hit, count = cells(draw.hits, [draw.seed, draw.body, draw.background])
-    n, p = count.sum(), hit.sum() / count.sum()
+    n = count.sum()
+    p = hit.sum() / count.sum()
     deviation = clustered_deviation(hit - p * count, 0.95) / n
     bodies = len(np.unique(draw.body))
     size = min(bodies, p * (1 - p) / deviation**2) if deviation else bodies
@@ -114,13 +115,13 @@ METHODS: dict[str, Callable[[Draw], Bounds]] = {"bootstrap": bootstrap, "Korn-Gr
 def coverage(design: Design, repetitions: int, seed: int = 0) -> dict[str, dict[str, float]]:
     """Count, for every method, how often its interval covers the design's target, and its mean width."""
     rng = np.random.default_rng([seed, *(int(1000 * value) for value in asdict(design).values())])
-    found = {name: [] for name in METHODS}
+    outcomes = {name: [] for name in METHODS}
     for _ in range(repetitions):
         draw = simulate(design, rng)
         for name, method in METHODS.items():
             low, high = method(draw)
-            found[name].append((low <= design.target <= high, high - low))
-    means = {name: np.mean(values, axis=0) for name, values in found.items()}
+            outcomes[name].append((low <= design.target <= high, high - low))
+    means = {name: np.mean(values, axis=0) for name, values in outcomes.items()}
     return {name: {"coverage": float(hit), "width": float(width)} for name, (hit, width) in means.items()}
 
 

@@ -36,10 +36,10 @@ def run_bench_jobs(
     """
     if count < 1 or train_seconds <= 0:
         raise InputError(f"count {count}, train-seconds {train_seconds}: at least 1 job that takes time")
-    found = {"in_order_ms": _per_job(in_order, count), "ray_ms": _by_ray(count) if ray else None}
-    found |= {"results_ms": _results(count), "count": count, "files": files, "megabytes": megabytes}
-    found |= {"train_seconds": train_seconds, "evaluate_seconds": evaluate_seconds}
-    return found | {"plan": [_planned(found, *fleet) for fleet in FLEETS], "machine": machine()}
+    record = {"in_order_ms": _per_job(in_order, count), "ray_ms": _by_ray(count) if ray else None}
+    record |= {"results_ms": _results(count), "count": count, "files": files, "megabytes": megabytes}
+    record |= {"train_seconds": train_seconds, "evaluate_seconds": evaluate_seconds}
+    return record | {"plan": [_planned(record, *fleet) for fleet in FLEETS], "machine": machine()}
 
 
 def _per_job(run: Callable[[Sequence[Job]], Iterator[Outcome]], count: int) -> float:
@@ -78,10 +78,10 @@ def _results(count: int) -> float:
         return 1000 * (time.perf_counter() - started) / count
 
 
-def _planned(found: dict, trainings: int, cores: int) -> dict:
+def _planned(record: dict, trainings: int, cores: int) -> dict:
     """Estimate the cost of many trainings from what was measured."""
-    each = found["train_seconds"] + found["evaluate_seconds"]
-    overhead = (max(found["ray_ms"] or 0.0, found["in_order_ms"]) + found["results_ms"]) / 1000
+    each = record["train_seconds"] + record["evaluate_seconds"]
+    overhead = (max(record["ray_ms"] or 0.0, record["in_order_ms"]) + record["results_ms"]) / 1000
     return {
         "trainings": trainings,
         "cores": cores,
@@ -89,8 +89,8 @@ def _planned(found: dict, trainings: int, cores: int) -> dict:
         "handing_out_hours": round(trainings * overhead / 3600, 2),
         # Beyond these the process that hands out is what everybody waits for.
         "most_cores": int(each / overhead),
-        "gigabytes": round(trainings * found["megabytes"] / 1000, 1),
-        "files": trainings * found["files"],
+        "gigabytes": round(trainings * record["megabytes"] / 1000, 1),
+        "files": trainings * record["files"],
     }
 
 

@@ -126,7 +126,8 @@ def twin(screen: Screen, triangles: Tensor, grid: int = 1, cull: Tensor | None =
             place = (piece.view, *index)
             number = depth(piece, int(sample_x[tuple(index)]), int(sample_y[tuple(index)]))
             if (number, piece.triangle) < (best[place], ids[place]) or ids[place] < 0:
-                best[place], ids[place] = number, piece.triangle
+                best[place] = number
+                ids[place] = piece.triangle
     return ids
 
 
@@ -153,7 +154,8 @@ def screen_of(
     snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)
     view = ((snapped_x / GRID - width / 2) * z / focal, (height / 2 - snapped_y / GRID) * z / focal, z)
     ends = [int(e) for t in (snapped_x, snapped_y) for e in (torch.aminmax(t) if t.numel() else (0, 0))]
-    inverse_depth, near_plane = row(inverse_depth, torch.float64), torch.full_like(focal, near)
+    inverse_depth = row(inverse_depth, torch.float64)
+    near_plane = torch.full_like(focal, near)
     return Screen(width, height, view, snapped_x, snapped_y, inverse_depth, None, tuple(ends), focal, near_plane)
 
 
@@ -178,7 +180,8 @@ def visible_shares(
         if cull and area(points) > 0:
             continue
         if area(points) < 0:
-            points, near = points[::-1], near[::-1]
+            points = points[::-1]
+            near = near[::-1]
         if area(points) != 0:
             faces.append((name, points, sides(points), plane(points, near)))
     shares = {}
@@ -191,9 +194,9 @@ def visible_shares(
             left = [cut(face[1], square)]
             for other in here:
                 left = [part for whole in left for part in without(whole, hiding(face, other))]
-            share = sum(map(area, left))
-            if share > 0:
-                shares[pixel, face[0]] = share
+            visible = sum(map(area, left))
+            if visible > 0:
+                shares[pixel, face[0]] = visible
     return shares
 
 
@@ -237,8 +240,8 @@ def cut(polygon: list[Point], lines: list[Line]) -> list[Point]:
             if here >= 0:
                 kept.append((x0, y0))
             if here * there < 0:
-                share = here / (here - there)
-                kept.append((x0 + share * (x1 - x0), y0 + share * (y1 - y0)))
+                fraction = here / (here - there)
+                kept.append((x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0)))
         polygon = kept
     return polygon
 

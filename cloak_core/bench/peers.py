@@ -95,7 +95,8 @@ class Embree(Peer):
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # the first ray builds the tree
 
     def aim(self, target: Target) -> None:
-        self._shape, self._rays = target.shape, target.rays()
+        self._shape = target.shape
+        self._rays = target.rays()
 
     def look(self) -> np.ndarray:
         return self._scene.run(*self._rays).reshape(self._shape).astype(np.int32, copy=False)
@@ -112,7 +113,8 @@ class Mitsuba(Peer):
 
         mitsuba.set_variant("llvm_ad_rgb")
         drjit.set_thread_count(threads)
-        self._mitsuba, self._triangles = mitsuba, triangles.astype(np.uint32)
+        self._mitsuba = mitsuba
+        self._triangles = triangles.astype(np.uint32)
 
     def pose(self, vertices: np.ndarray) -> None:
         mesh = self._mitsuba.Mesh("body", len(vertices), len(self._triangles))
@@ -124,7 +126,8 @@ class Mitsuba(Peer):
 
     def aim(self, target: Target) -> None:
         origins, directions = target.rays()
-        point, vector = self._mitsuba.Point3f(origins.T), self._mitsuba.Vector3f(directions.T)
+        point = self._mitsuba.Point3f(origins.T)
+        vector = self._mitsuba.Vector3f(directions.T)
         self._shape, self._rays = target.shape, self._mitsuba.Ray3f(point, vector)
 
     def look(self) -> np.ndarray:
@@ -151,7 +154,8 @@ class Open3D(Peer):
         self._cast(np.ones((1, 6), np.float32))  # the first ray builds the tree
 
     def aim(self, target: Target) -> None:
-        self._shape, self._rays = target.shape, np.concatenate(target.rays(), 1)
+        self._shape = target.shape
+        self._rays = np.concatenate(target.rays(), 1)
 
     def look(self) -> np.ndarray:
         return self._cast(self._rays).view(np.int32).reshape(self._shape)  # "none" is all ones: -1
@@ -181,7 +185,8 @@ class OpenGL(Peer):
         self._program = self._gl.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
         self._gl.enable_only(moderngl.DEPTH_TEST)
         self._gl.cull_face = "back"
-        self._face_culling, self._triangles = moderngl.CULL_FACE, triangles.astype(np.int32)
+        self._face_culling = moderngl.CULL_FACE
+        self._triangles = triangles.astype(np.int32)
         self._vertices = self._frame = None
 
     def pose(self, vertices: np.ndarray) -> None:
@@ -198,7 +203,8 @@ class OpenGL(Peer):
         if self._frame is None or self._frame.size != size:
             if self._frame is not None:
                 self._frame.release()
-            ids, depth = self._gl.texture(size, 1, dtype="i4"), self._gl.depth_renderbuffer(size)
+            ids = self._gl.texture(size, 1, dtype="i4")
+            depth = self._gl.depth_renderbuffer(size)
             self._frame = self._gl.framebuffer([ids], depth)
         self._program["clip"].write(_clip_matrix(target).T.astype(np.float32).tobytes())
         (self._gl.enable if target.cull else self._gl.disable)(self._face_culling)
@@ -219,7 +225,8 @@ class OpenGL(Peer):
 def _clip_matrix(target: Target) -> np.ndarray:
     """World to clip space, the far plane at infinity."""
     camera = target.camera
-    near, eye = camera.near_plane, np.array(camera.position(target.pivot))
+    near = camera.near_plane
+    eye = np.array(camera.position(target.pivot))
     view = np.eye(4)
     view[:3, :3] = camera.axes
     view[:3, 3] = -view[:3, :3] @ eye
@@ -265,12 +272,12 @@ class PeerViewCache(ViewCache):
         """Hand the first pose to the peer, as is done for each new pose."""
         self.peer.pose(np.ascontiguousarray(self.bodies.vertices[0], np.float32))
 
-    def build(self, wanted: Sequence[Key]) -> list[View]:
+    def build(self, keys: Sequence[Key]) -> list[View]:
         """Build views as every cache does; the peer looks once, before the work is cut into parts."""
-        self._seen = self.seen(wanted[0][1])
-        return super().build(wanted)
+        self._seen = self.seen(keys[0][1])
+        return super().build(keys)
 
-    def visibility(self, wanted: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
+    def visibility(self, keys: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
         """Select a part of what the peer saw."""
         whole, n = self._seen.window, self._seen.grid
         window = window or whole

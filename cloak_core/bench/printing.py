@@ -46,10 +46,10 @@ def printed(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     ink = 1 - np.asarray(sent, np.float64)
     ink = (ink + 4 * DOT_GAIN * ink * (1 - ink)).clip(0, 1)
     c, m, y = (ink[:, [k]] for k in range(3))
-    share = np.concatenate(
+    weights = np.concatenate(
         [(c if i & 4 else 1 - c) * (m if i & 2 else 1 - m) * (y if i & 1 else 1 - y) for i in range(8)], axis=1
     )
-    return (share @ to_linear(OVERPRINTS) ** (1 / YULE_NIELSEN)) ** YULE_NIELSEN
+    return (weights @ to_linear(OVERPRINTS) ** (1 / YULE_NIELSEN)) ** YULE_NIELSEN
 
 
 def photographed(light: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -127,7 +127,7 @@ def try_calibration(out: Path, photographs: int = 1, colors: Path | None = None)
         profile = profile_of(files, folder / "profile.npz")
         unseen = np.random.default_rng(7).random((UNSEEN, 3))
         if colors is not None:
-            wanted = read_colors(colors)
-            write_colors(folder / "plain.npy", come_out(wanted))
-            write_colors(folder / "calibrated.npy", come_out(profile.to_send(wanted)))
+            trained = read_colors(colors)
+            write_colors(folder / "plain.npy", come_out(trained))
+            write_colors(folder / "calibrated.npy", come_out(profile.to_send(trained)))
     return Tried(profile, mean_difference(profile.photographed(unseen), come_out(unseen)))

@@ -29,7 +29,8 @@ class TwinLight:
     """Light on one pose seen by one camera."""
 
     def __init__(self, bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> None:
-        self._vertices, self._triangles = bodies.vertices[pose].astype(np.float64), bodies.triangles
+        self._vertices = bodies.vertices[pose].astype(np.float64)
+        self._triangles = bodies.triangles
         self._normals = vertex_normals(bodies, pose)
         self._camera, self._light = camera, light
         pivot = camera.pivot or (self._vertices.min(0) + self._vertices.max(0)) / 2
@@ -60,7 +61,8 @@ def _meet(
     eye: np.ndarray, ray: np.ndarray, a: np.ndarray, ab: np.ndarray, ac: np.ndarray
 ) -> Float64[np.ndarray, "3 N"]:
     """Weights of the corners where rays meet triangles (Möller and Trumbore), each in [0, 1]."""
-    p, start = np.cross(ray, ac), eye - a
+    p = np.cross(ray, ac)
+    start = eye - a
     area = (ab * p).sum(1)
     area = np.where(area == 0, np.inf, area)  # seen edge-on: the first corner stands in
     v = (start * p).sum(1) / area
@@ -135,17 +137,19 @@ class Reference:
 
 def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
     """Integrate coverage and light over what is visible of one view. Takes seconds to minutes."""
-    cache, key, twin = ViewCache(bodies), [(pose, camera)], TwinLight(bodies, camera, light, pose)
+    cache = ViewCache(bodies)
+    key = [(pose, camera)]
+    twin = TwinLight(bodies, camera, light, pose)
     screen = cache.screen(key)
     flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, cache.cull(key, screen))
-    found, crowded = [], [torch.zeros(0, dtype=torch.int64)]
+    integrals, crowded = [], [torch.zeros(0, dtype=torch.int64)]
     for parts in visible_parts(flat, Window(0, 0, camera.width, camera.height), camera.width):
         triangle = parts.triangles.ids[parts.pieces.owner]
-        found.append((parts.pieces.place, triangle, _integrate(parts, triangle, twin, camera.width)))
+        integrals.append((parts.pieces.place, triangle, _integrate(parts, triangle, twin, camera.width)))
         crowded.append(parts.pieces.place[parts.crowded].unique())
     nothing = torch.zeros(0, dtype=torch.int64)
     pixel, triangle, sums = (
-        torch.cat(column, -1) for column in zip((nothing, nothing, torch.zeros(3, 0).double()), *found, strict=True)
+        torch.cat(column, -1) for column in zip((nothing, nothing, torch.zeros(3, 0).double()), *integrals, strict=True)
     )
     some = (sums[0] > 0).nonzero().view(-1)
     pixel, triangle, (area, weight, highlight) = pixel[some], triangle[some], sums[:, some]
@@ -163,13 +167,16 @@ def _integrate(parts: Parts, triangle: Int64[Tensor, " P"], twin: TwinLight, wid
 
     The points integrate quadratic functions exactly.
     """
-    sums, shape = torch.zeros(3, len(triangle), dtype=torch.float64), parts.shape
+    sums = torch.zeros(3, len(triangle), dtype=torch.float64)
+    shape = parts.shape
     for k in range(1, len(shape) - 1):
         corners = torch.stack([shape[0], shape[k], shape[k + 1]])
         (ax, ay), (bx, by), (cx, cy) = corners
         area = ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)).abs() / 2
         some = (area > 0).nonzero().view(-1)
-        owner, area, middle = parts.owner[some], area[some], corners.mean(0) / 2
+        owner = parts.owner[some]
+        area = area[some]
+        middle = corners.mean(0) / 2
         place = parts.pieces.place[owner]
         for corner in corners:
             x, y = (corner / 2 + middle)[:, some]

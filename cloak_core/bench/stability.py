@@ -39,7 +39,8 @@ AREA = 1e-6
 
 def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict:
     """Run all cases, at 1 and 4 samples per pixel and by area. `mismatches` must be 0."""
-    rows, worst = {}, Fraction(0)
+    rows = {}
+    worst = Fraction(0)
     for name, make in CASES.items():
         wrong = count = 0
         for seed in range(seeds):
@@ -53,9 +54,9 @@ def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict
             worst = max(worst, depth_error(case))
         rows[name] = {"cases": count, "mismatches": wrong}
     for name, check in {**CHECKS, **HOSTILE}.items():
-        found = check()
-        wrong, remark = found if found is not None else (0, "not run: there is no such device here")
-        rows[name] = {"cases": int(found is not None), "mismatches": wrong} | ({"remark": remark} if remark else {})
+        outcome = check()
+        wrong, remark = outcome if outcome is not None else (0, "not run: there is no such device here")
+        rows[name] = {"cases": int(outcome is not None), "mismatches": wrong} | ({"remark": remark} if remark else {})
     return {
         **{key: sum(row[key] for row in rows.values()) for key in ("cases", "mismatches")},
         "max_error_ulp": float(worst),
@@ -79,18 +80,20 @@ def area_mismatches(case: Case) -> int:
 
     The latter in cases in which every sample is covered once.
     """
-    screen, count = case.screen, case.triangles.shape[1]
+    screen = case.screen
+    count = case.triangles.shape[1]
     ours, exact = torch.zeros(2, screen.width * screen.height, count, dtype=torch.float64)
-    found = area_fragments(screen, case.triangles, torch.tensor([case.cull]), bounding_window(screen))
-    ours.view(-1).index_add_(0, found.pixel * count + found.triangle, found.area.double())
-    for (pixel, triangle), share in _exact_shares(case).items():
-        exact[pixel, triangle] = float(share)
+    fragments = area_fragments(screen, case.triangles, torch.tensor([case.cull]), bounding_window(screen))
+    ours.view(-1).index_add_(0, fragments.pixel * count + fragments.triangle, fragments.area.double())
+    for (pixel, triangle), exact_area in _exact_shares(case).items():
+        exact[pixel, triangle] = float(exact_area)
     wrong = int(((ours - exact).abs() > AREA).sum())
     return wrong if case.cover is None else wrong + int(((ours.sum(1) - case.cover).abs() > AREA).sum())
 
 
 def _exact_shares(case: Case) -> dict[tuple[int, int], Fraction]:
-    screen, size = case.screen, (case.screen.width, case.screen.height)
+    screen = case.screen
+    size = (case.screen.width, case.screen.height)
     corners = (t[0].tolist() for t in (screen.x, screen.y, screen.inverse_depth))
     return visible_shares(*corners, case.triangles.T.tolist(), size, GRID, case.cull)
 

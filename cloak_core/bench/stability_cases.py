@@ -53,7 +53,8 @@ def _random(rng: np.random.Generator, size: tuple[int, int] = (9, 7), unit: int 
 
 def _lattice(rng: np.random.Generator) -> Case:
     """Vertices on sample points and diagonals through them: every sample covered once."""
-    n, offset = 11, int(rng.choice([0, 1, HALF, HALF + 1]))
+    n = 11
+    offset = int(rng.choice([0, 1, HALF, HALF + 1]))
     x, y = (np.stack(np.meshgrid(np.arange(n), np.arange(n)), -1).reshape(-1, 2) - 1).T * GRID + offset
     at = np.arange(n * n).reshape(n, n)
     a, b, c, d = (t.ravel() for t in (at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]))
@@ -91,7 +92,8 @@ def _strips(rng: np.random.Generator) -> Case:
     covered twice."""
     at = (np.arange(-4, 14) * GRID + HALF)[:, None] + np.cumsum([0, 0, 0.3, 0.3, 1, 2, 3]) + rng.integers(-3, 4)
     x = np.concatenate([[-40 * GRID], np.round(at.ravel()), [40 * GRID]]).astype(int)
-    lean, count = int(rng.integers(-2, 3)) * 10 * GRID // 2, len(x)
+    lean = int(rng.integers(-2, 3)) * 10 * GRID // 2
+    count = len(x)
     y = np.repeat([-GRID, 9 * GRID], count)
     a = np.arange(count - 1)
     halves = ((a, a + 1, a + 1 + count), (a, a + 1 + count, a + count))

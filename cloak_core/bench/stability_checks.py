@@ -47,7 +47,8 @@ def _ball() -> Bodies:
 def _seen(together: bool = True, device: str = "cpu") -> tuple[Tensor, list[View]]:
     """Face ids of random triangles, and views of a ball by area and by samples: built together or one by one."""
     rng = np.random.default_rng(0)
-    vertices, triangles = torch.from_numpy(rng.normal(0, 0.5, (1, 3, 4000))), rows(rng.integers(0, 4000, (4000, 3)))
+    vertices = torch.from_numpy(rng.normal(0, 0.5, (1, 3, 4000)))
+    triangles = rows(rng.integers(0, 4000, (4000, 3)))
     vertices, triangles = vertices.to(device), triangles.to(device)
     caches = [ViewCache(_ball(), RenderSettings(samples=samples, device=device)) for samples in (None, 4)]
     if together:
@@ -107,7 +108,9 @@ def ties() -> tuple[int, str]:
 
 def precision() -> tuple[int, str]:
     """Compare light in float32 with its float64 twin, at every visible sample: weights and highlights."""
-    bodies, wrong, worst, ulp = _ball(), 0, 0.0, 0.0
+    bodies = _ball()
+    wrong = 0
+    worst, ulp = 0.0, 0.0
     cache = ViewCache(bodies, RenderSettings(light=_LIGHT, samples=1))
     for pose, camera in _KEYS:
         view = matrix_of(cache.view(pose, camera), bodies.face_count)
@@ -115,7 +118,8 @@ def precision() -> tuple[int, str]:
         exact = TwinLight(bodies, camera, _LIGHT)(view.face.numpy(), x.astype(np.float64), y.astype(np.float64))
         for ours, twin in zip((view.weight, view.specular[view.pixel]), exact, strict=True):
             error = np.abs(ours.numpy() - twin)
-            wrong, worst = wrong + int((error > IMAGE).sum()), max(worst, float(error.max()))
+            wrong = wrong + int((error > IMAGE).sum())
+            worst = max(worst, float(error.max()))
         ulp = max(ulp, float((np.abs(view.weight.numpy() - exact[0]) / np.spacing(np.float32(exact[0]))).max()))
     return wrong, f"largest difference {worst:.1e}; of a weight {ulp:.1f} units in the last place"
 

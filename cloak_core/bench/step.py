@@ -161,21 +161,23 @@ class _Bench:
     def _warm_up_steps(self) -> int:
         views = self.plan.members * self.plan.directions * self.plan.outfit_count
         # Drawn at random, all of n views are met after about n (ln n + 3) draws.
-        wanted = 0 if self.plan.is_fresh else views * (np.log(views) + 3)
-        return int(np.ceil(wanted / self.settings.run.batch)) + 1
+        images = 0 if self.plan.is_fresh else views * (np.log(views) + 3)
+        return int(np.ceil(images / self.settings.run.batch)) + 1
 
 
 class Clock:
     """Milliseconds and page faults of named actions, one entry for each round that `counts`."""
 
     def __init__(self, device: torch.device) -> None:
-        self.device, self.counts = device, False
+        self.device = device
+        self.counts = False
         self.milliseconds: dict[str, list[float]] = {}
         self.faults: dict[str, list[int]] = {}
 
     def time(self, name: str, action: Callable[[], None]) -> None:
         self._wait()
-        faults, started = _minor_faults(), time.perf_counter()
+        faults = _minor_faults()
+        started = time.perf_counter()
         action()
         self._wait()
         took = 1e3 * (time.perf_counter() - started)
@@ -247,9 +249,9 @@ def run_bench_ranks(
     rates: dict[int, list[float]] = {1: [], ranks: []}
     with tempfile.TemporaryDirectory() as folder:
         for number in range(rounds):
-            for count, found in rates.items():
+            for count, measured in rates.items():
                 out = Path(folder, f"{number}-{count}")
-                found.append(batch * _steps_per_second(count, threads // count, [*options, "--out", str(out)], out))
+                measured.append(batch * _steps_per_second(count, threads // count, [*options, "--out", str(out)], out))
     one, many = (statistics.median(rates[count]) for count in (1, ranks))
     return {
         spec: {
@@ -259,7 +261,7 @@ def run_bench_ranks(
             "one": round(one, 2),
             "many": round(many, 2),
             "throughput": round(many / one, 4),
-            "all": {str(count): [round(rate, 2) for rate in found] for count, found in rates.items()},
+            "all": {str(count): [round(rate, 2) for rate in measured] for count, measured in rates.items()},
         },
         "machine": machine(),
     }

@@ -52,23 +52,24 @@ def run_bench_views(
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
     camera = camera or Camera(azimuth=-10.0)
     with torch_threads(threads):
-        cache, key = _cache(bodies, samples or 1, device), [(0, camera)]
+        cache = _cache(bodies, samples or 1, device)
+        key = [(0, camera)]
         result = {
             "visibility_ms": timed(lambda: cache.visible(key), repeats, device),
             "new_view_ms": timed(lambda: cache.build(key), repeats, device),
             "stored_ms": _reading(cache, camera, repeats),
             "cached_ms": timed(cached_render(cache, camera), repeats, device),
             "by_samples": {
-                str(way): _one_and_many(_cache(bodies, way, device), camera, repeats)
-                for way in ((*GRIDS, "area") if samples is None else (samples,))
+                str(kind): _one_and_many(_cache(bodies, kind, device), camera, repeats)
+                for kind in ((*GRIDS, "area") if samples is None else (samples,))
             },
         }
         measured = {"threads": threads, "clock": clock(device), "machine": machine(device)}
     return result | {"samples": samples or 1} | measured
 
 
-def _cache(bodies: Bodies, way: int | Literal["area"], device: str) -> ViewCache:
-    return ViewCache(bodies, RenderSettings(samples=None if way == "area" else way, device=device))
+def _cache(bodies: Bodies, kind: int | Literal["area"], device: str) -> ViewCache:
+    return ViewCache(bodies, RenderSettings(samples=None if kind == "area" else kind, device=device))
 
 
 def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:
@@ -85,7 +86,8 @@ def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, f
 
 def _reading(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
-        view, files = cache.view(0, camera), DiskCache(Path(folder), ".view", 1 << 30, "views")
+        view = cache.view(0, camera)
+        files = DiskCache(Path(folder), ".view", 1 << 30, "views")
         stored = StoredViews(files, cache.bodies, cache.settings.recipe, view.uv is not None, cache.device)
         stored.put(0, camera, view)
         return timed(lambda: stored.get(0, camera), repeats, cache.device.type)

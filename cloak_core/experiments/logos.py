@@ -42,22 +42,22 @@ def shapes(bodies: Bodies, folder: Path, quick: bool) -> dict[str, FaceIds]:
         "smiley": partial(project_mask, bodies, draw_smiley(folder / "smiley.png")),
         "letter G": partial(project_text, bodies, "G"),
     }
-    shares = (0.01, PAPER_SHARES["letter G"]) if quick else (0.005, 0.01, 0.02, PAPER_SHARES["letter G"], 0.06)
+    fractions = (0.01, PAPER_SHARES["letter G"]) if quick else (0.005, 0.01, 0.02, PAPER_SHARES["letter G"], 0.06)
     logos = {}
     for name in ("disc", "letter G") if quick else tuple(makers):
-        for share in shares:
-            ids = sized_stamp(makers[name], bodies, share)
+        for fraction in fractions:
+            ids = sized_stamp(makers[name], bodies, fraction)
             # A shape that cannot grow so far would only repeat the one before.
-            if abs(area_share(bodies, ids) - share) < 0.25 * share:
-                logos[f"{name} {share:.1%}"] = ids
+            if abs(area_share(bodies, ids) - fraction) < 0.25 * fraction:
+                logos[f"{name} {fraction:.1%}"] = ids
     whole = chest_thighs(bodies)
     return logos | {f"chest + thighs {area_share(bodies, whole):.1%}": whole}
 
 
-def trimmed(bodies: Bodies, ids: FaceIds, share: float) -> FaceIds:
+def trimmed(bodies: Bodies, ids: FaceIds, fraction: float) -> FaceIds:
     """Shrink the chest and each thigh to its middle, so that together they keep this share of the body's area."""
     areas, centers = face_areas(bodies)[ids], face_centres(bodies)[ids]
-    target = share * face_areas(bodies).sum()
+    target = fraction * face_areas(bodies).sum()
     if areas.sum() <= target:
         return ids
     upper = centers[:, 1] > (centers[:, 1].min() + centers[:, 1].max()) / 2

@@ -38,7 +38,8 @@ def cells(store: RunStore) -> Cells:
 
 def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
     """Draw the same trial in each cloak of the first repetition, a row for each attack."""
-    detector, settings = store.split.detectors[store.specs[0]], store.evaluate_settings()
+    detector = store.split.detectors[store.specs[0]]
+    settings = store.evaluate_settings()
     rows: dict[str, list[Picture]] = {}
     for cell, (trained, *_) in trainings:
         renderer = store.renderer(trained, cell.angles, settings)

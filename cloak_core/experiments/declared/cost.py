@@ -19,9 +19,10 @@ QUICK = 4
 
 
 def cells(store: RunStore) -> Cells:
-    full, quick = store.steps(angles=MULTI), store.options.quick
+    full = store.steps(angles=MULTI)
+    quick = store.options.quick
     for name, changes in list(VARIANTS.items())[: QUICK if quick else None]:
-        for steps in sorted({max(1, full // share) for share in ((3, 1) if quick else (4, 2, 1))}):
+        for steps in sorted({max(1, full // divisor) for divisor in ((3, 1) if quick else (4, 2, 1))}):
             yield Cell(
                 label={"variant": name, "steps": steps},
                 training={"angles": MULTI, "steps": steps} | changes,

@@ -182,7 +182,8 @@ class Alarms:
 
     def columns(self, results: Results, spec: str) -> dict:
         """Success on the body at 0.6 and at the threshold that raises as many false alarms as the first detector's."""
-        rows, own = results.rows(spec, LOGO), self.scores[spec]
+        rows = results.rows(spec, LOGO)
+        own = self.scores[spec]
         equal = statistics.matched_threshold(own, self.scores[self.store.specs[0]])
         row = {
             "success_on_body": statistics.hidden_rate(rows, column="score_on").value,

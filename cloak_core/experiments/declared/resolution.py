@@ -15,7 +15,8 @@ from cloak_core.sources.bodies.view_cache import ViewCache
 
 
 def cells(store: RunStore) -> Cells:
-    bodies, unseen, faces = store.split.bodies, store.split.unseen, chest_thighs(store.split.bodies)
+    bodies, unseen = store.split.bodies, store.split.unseen
+    faces = chest_thighs(store.split.bodies)
     for level in range(2 if store.options.quick else 3):
         if level:
             bodies, parent = subdivide(bodies)

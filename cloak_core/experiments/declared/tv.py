@@ -10,9 +10,9 @@ WEIGHTS = (0.0, 0.1, 0.5, 1.0, 2.5, 10.0)
 
 
 def cells(store: RunStore) -> Cells:
-    one = store.split.bodies.select_poses([0])
-    tests = {"the trained body": one, "an unseen body": store.split.unseen.select_poses([0])}
-    training = {"bodies": one, "angles": SINGLE}
+    first_body = store.split.bodies.select_poses([0])
+    tests = {"the trained body": first_body, "an unseen body": store.split.unseen.select_poses([0])}
+    training = {"bodies": first_body, "angles": SINGLE}
     for weight in PAPER_WEIGHTS if store.options.quick else WEIGHTS:
         for name, bodies in tests.items():
             yield Cell(
