@@ -61,7 +61,8 @@ class BodyRenderer:
 
         What no control changes is composed once, so the next images are drawn into the memory of these.
         """
-        backgrounds, shifts = self.backgrounds(indices), self.shifts(indices)
+        backgrounds = self.backgrounds(indices)
+        shifts = self.shifts(indices)
         canvas = Canvas.before(views, backgrounds, shifts)
         for control in controls:
             colors = self._logo_colors(indices, control)
@@ -99,7 +100,8 @@ class BodyRenderer:
     def flat_view(self, azimuth: float, side: int = 640) -> Float[Tensor, "h w 4"]:
         """Render the first body in the trained colours under even light, RGBA in [0, 1], cut to the body."""
         flat = Light(ambient=1.0, diffuse=0.0, specular=0.0)
-        first, settings = self.cloaked.bodies.select_poses([0]), RenderSettings(light=flat, device=self._device)
+        first = self.cloaked.bodies.select_poses([0])
+        settings = RenderSettings(light=flat, device=self._device)
         view_cache = ViewCache(first, settings, on_cloth=self.cloaked.cloth is not None)
         camera = Camera(elevation=0.0, azimuth=azimuth, width=side, height=side)
         view = view_cache.bake(0, camera, self.cloaked.logo.face_ids)
@@ -130,7 +132,8 @@ class BodyRenderer:
 
     def bare(self, backgrounds: Indices) -> Float[Tensor, "B 3 H W"]:
         """Backgrounds by their own index, with nobody in front."""
-        numbers, size = [int(i) for i in backgrounds], (self.viewpoint.height, self.viewpoint.width)
+        numbers = [int(i) for i in backgrounds]
+        size = (self.viewpoint.height, self.viewpoint.width)
         return self.cloaked.backgrounds.batch(numbers, *size).to(self._device)
 
     def backgrounds(self, indices: Indices) -> Float[Tensor, "B 3 H W"]:

@@ -74,13 +74,13 @@ def check_scene(
     trials = make_trials(pose, angle, camera.elevation, camera.distance, background, shift)
     view_cache = ViewCache(bodies, RenderSettings(device=detector.device))
     renderer = _clean_renderer(bodies, backgrounds, trials, camera, view_cache)
-    told, bare = _check(detector, renderer, "score", np.arange(len(backgrounds)))
+    rates, bare = _check(detector, renderer, "score", np.arange(len(backgrounds)))
     own = detector.operating_point
     loudest = bare[(bare["score"] > min(THRESHOLD, own)).to_numpy()].sort_values(
         "score", ascending=False, kind="stable"
     )
     alarms = zip(loudest["background"], loudest["score"], strict=True)
-    return told | {
+    return rates | {
         "false_alarms": _found(bare, THRESHOLD),
         "false_alarms_own": _found(bare, own),
         "backgrounds": len(backgrounds),
@@ -105,9 +105,9 @@ def _check(
     spec, own = detector.spec, detector.operating_point
     results = measure(renderer, {spec: detector}, (CLOTHING,), bare, batch=BATCH)
     rows = results.rows(spec, CLOTHING)
-    told = {"clean_recall": _found(rows, THRESHOLD, column), "clean_recall_own": _found(rows, own, column)}
-    told |= {"operating_point": own, "operating_point_assumed": detector.operating_point_assumed, "n": len(rows)}
-    return told | certified_recall(detector, renderer, THRESHOLD), results.rows(spec, NOBODY)
+    rates = {"clean_recall": _found(rows, THRESHOLD, column), "clean_recall_own": _found(rows, own, column)}
+    rates |= {"operating_point": own, "operating_point_assumed": detector.operating_point_assumed, "n": len(rows)}
+    return rates | certified_recall(detector, renderer, THRESHOLD), results.rows(spec, NOBODY)
 
 
 def _found(rows: pd.DataFrame, threshold: float, column: str = "score") -> float:
@@ -128,8 +128,12 @@ def certified_recall(detector: Detector, renderer: EvaluationRenderer, threshold
     for batch in batches(np.arange(len(renderer.trials)), BATCH):
         views = renderer.views(batch)
         (images,) = renderer.compose(views, batch, (CLOTHING,))
-        told = [renderer.about_person(found, views, batch) for found in masks.answers(detector.inner, images)]
-        floor.append(torch.stack([renderer.on_person(found, views, batch).person for found in told]).amin(0))
+        answers = [
+            renderer.about_person(detections, views, batch) for detections in masks.answers(detector.inner, images)
+        ]
+        floor.append(
+            torch.stack([renderer.on_person(detections, views, batch).person for detections in answers]).amin(0)
+        )
     kept = [float((torch.cat(floor) > t).double().mean()) for t in (threshold, detector.operating_point)]
     return {"certified_recall": kept[0], "certified_recall_own": kept[1], "patch": masks.patch}
 
@@ -139,11 +143,13 @@ def clean_renders(count: int, size: tuple[int, int]) -> UInt8[Tensor, "B 3 H W"]
 
     In all their outfits, from all around, 1.6 to 4 m away, before procedural scenes.
     """
-    bodies, backgrounds = sample_bodies("unseen"), load_backgrounds("procedural:test", size)
+    bodies = sample_bodies("unseen")
+    backgrounds = load_backgrounds("procedural:test", size)
     rng = np.random.default_rng([0, 0xC1EA])
     angle, distance = rng.uniform(-180, 180, count), rng.uniform(1.6, 4, count)
     background, outfit = rng.integers(len(backgrounds), size=count), rng.integers(len(bodies.face_colors), size=count)
-    pose, shift = np.arange(count) % bodies.pose_count, np.zeros((count, 2))
+    pose = np.arange(count) % bodies.pose_count
+    shift = np.zeros((count, 2))
     trials = make_trials(pose, angle, 6, distance, background, shift, outfit)
     view_cache = ViewCache(bodies, RenderSettings(memory_bytes=0))  # no view comes twice
     renderer = _clean_renderer(bodies, backgrounds, trials, Camera(height=size[0], width=size[1]), view_cache)

@@ -82,7 +82,9 @@ def open_cloaked(
         backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
     logo = load_logo(bodies, folder / "logo.npy")
     if colors is None:
-        worn, trained, name = read_colors(folder / "colors.npy", len(logo)), config, ""
+        worn = read_colors(folder / "colors.npy", len(logo))
+        trained = config
+        name = ""
         cloth = cloth_of_run(folder)
     else:
         worn, trained, name = colors_of(colors, logo, bodies)
@@ -114,8 +116,8 @@ def from_texture(picture: np.ndarray, logo: Logo, bodies: Bodies, path: Path) ->
         raise InputError(f"{path}: scene '{bodies.name}' has no UV map to put a picture on")
     corners = bodies.uv[bodies.triangle_uv].astype(np.float64)  # [T, 3, 2]
     # Of a polygon, the mean over its triangles by their area on the map.
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = np.maximum(np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]), 1e-12)
+    side_a, side_b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.maximum(np.abs(side_a[:, 0] * side_b[:, 1] - side_a[:, 1] * side_b[:, 0]), 1e-12)
     total = sum_by_face(bodies, area)
     centre = sum_by_face(bodies, corners.mean(1) * area[:, None]) / np.maximum(total, 1e-300)[:, None]
     uv = torch.from_numpy(centre[logo.face_ids].T.astype(np.float32))

@@ -75,7 +75,8 @@ def _header() -> dict:
 
 
 def _image(renderer: BodyRenderer, trial: int, cloaked: bool, kind: str) -> dict:
-    camera, trials = renderer.camera(trial), renderer.trials
+    camera = renderer.camera(trial)
+    trials = renderer.trials
     where = {"distance": camera.distance, "azimuth": camera.azimuth, "elevation": camera.elevation}
     return {
         "id": 2 * trial + cloaked + 1,
@@ -92,7 +93,8 @@ def _image(renderer: BodyRenderer, trial: int, cloaked: bool, kind: str) -> dict
 
 def _annotations(renderer: BodyRenderer, trial: int, view: BakedView, image: dict) -> Iterator[dict]:
     """Yield the body's annotation, without its id; none where nothing of it is in the image."""
-    mask, trials = _mask(renderer, trial, view), renderer.trials
+    mask = _mask(renderer, trial, view)
+    trials = renderer.trials
     if not mask.any():
         return
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))

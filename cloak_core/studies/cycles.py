@@ -71,8 +71,13 @@ def in_cycles(
     require_blender()
     # Every other outfit would need frames of its own.
     renderer.trials = renderer.trials.assign(outfit=0)
-    done, frames = itertools.count(1), len(first_trials(renderer.trials)) * len(controls)
-    on_frame = lambda _: on_progress and on_progress(next(done), frames)
+    done = itertools.count(1)
+    frames = len(first_trials(renderer.trials)) * len(controls)
+
+    def on_frame(_: str) -> None:
+        if on_progress:
+            on_progress(next(done), frames)
+
     return CyclesRenderer(renderer, render_frames(renderer, controls, out, SAMPLES, on_frame, (light,)), light)
 
 
@@ -122,11 +127,11 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
     log = folder / "blender.log"
     command = [python, str(SCRIPT), str(folder)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    with open_to_append(log) as said:
+    with open_to_append(log) as output:
         process = subprocess.Popen(command, env=environment, **pipes)
         try:
             for line in process.stdout:
-                said.write(line.encode())
+                output.write(line.encode())
                 if line.startswith("frame "):
                     on_frame(line.strip())
         finally:
@@ -140,7 +145,8 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
 
 
 def _view(renderer: BodyRenderer, trial: int) -> dict:
-    camera, pose = renderer.camera(trial), int(renderer.trials.at[trial, "pose"])
+    camera = renderer.camera(trial)
+    pose = int(renderer.trials.at[trial, "pose"])
     vertices = renderer.cloaked.bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
     return {
@@ -186,7 +192,8 @@ class CyclesRenderer(BodyRenderer):
         self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]
     ) -> Iterator[Float[Tensor, "B 3 H W"]]:
         """Yield the images of these trials under each control; `views` are not used."""
-        behind, shifts = self.backgrounds(indices), self.shifts(indices).tolist()
+        behind = self.backgrounds(indices)
+        shifts = self.shifts(indices).tolist()
         seen = [(int(self.trials.at[i, "pose"]), float(self.trials.at[i, "angle"])) for i in map(int, indices)]
         for control in controls:
             bodies = (_shifted(self.body(*at, control), *shift) for at, shift in zip(seen, shifts, strict=True))
@@ -220,12 +227,16 @@ def image_difference(ours: BodyRenderer, cycles: CyclesRenderer) -> dict[str, fl
     """
     either, both = [], []
     for (pose, angle), trial in first_trials(ours.trials).items():
-        mine, covered = ours.before_grey(ours.views([trial])[0], trial, LOGO)
+        image, covered = ours.before_grey(ours.views([trial])[0], trial, LOGO)
         frame = cycles.body(pose, angle)
-        theirs, alpha = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:]), frame[3].flatten()
-        difference = (theirs - mine).flatten(1).double()
+        theirs = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:])
+        alpha = frame[3].flatten()
+        difference = (theirs - image).flatten(1).double()
         either.append(difference[:, (covered > 0) | (alpha > 0)].flatten())
         both.append(difference[:, (covered > 1 - 1e-4) & (alpha == 1)].flatten())
     shown, inside = torch.cat(either), torch.cat(both)
-    rms = lambda values: float((values**2).mean().sqrt()) if len(values) else 0.0
-    return {"rms": rms(shown), "inside": rms(inside), "bias": float(shown.mean()) if len(shown) else 0.0}
+    return {"rms": _rms(shown), "inside": _rms(inside), "bias": float(shown.mean()) if len(shown) else 0.0}
+
+
+def _rms(values: Tensor) -> float:
+    return float((values**2).mean().sqrt()) if len(values) else 0.0

@@ -32,7 +32,8 @@ CONTROLS = (LOGO, CLOTHING)
 """What is filmed side by side."""
 VIEW_BYTES = 1 << 30
 """Memory for views between measuring a film and drawing it."""
-TURNTABLE_FRAMES, LEAST_FRAMES, TURNTABLE_FPS = 24, 8, 8.0
+TURNTABLE_FRAMES, LEAST_FRAMES = 24, 8
+TURNTABLE_FPS = 8.0
 TURNTABLE_SHARE = 8
 """A turntable has at most one image for every eight of the evaluation."""
 TURNTABLE_SIDE = 256
@@ -73,14 +74,14 @@ def make_film(
     renderer = film_renderer(cloaked, path, settings, next(iter(detectors.values())).device)
     with kept_frozen(detectors) as hashes:
         results = measure(renderer, detectors, CONTROLS, batch=settings.batch, on_progress=on_progress)
-    told = summarize_film(results, settings, approaches(path)) | {"out": str(out)}
+    summary = summarize_film(results, settings, approaches(path)) | {"out": str(out)}
     save_film(out, draw_frames(renderer, results, settings), settings.fps)
     numbers = out / "film.json" if kind == "folder" else out.with_suffix(".json")
     inputs = {"scene": bodies.name, "topology": bodies.topology, "detector_hashes": hashes}
     plain = asdict(settings) | {"angles": list(settings.angles)}
     rows = frame_rows(results, settings.threshold)
-    write_json(numbers, told | {"settings": plain, "inputs": inputs, "by_frame": rows})
-    return told | {"numbers": str(numbers)}
+    write_json(numbers, summary | {"settings": plain, "inputs": inputs, "by_frame": rows})
+    return summary | {"numbers": str(numbers)}
 
 
 def film_renderer(
@@ -128,7 +129,8 @@ def write_turntable(
     frames = min(TURNTABLE_FRAMES, len(renderer.trials) * controls // (2 * TURNTABLE_SHARE))
     if frames < LEAST_FRAMES:
         return False
-    view, shown = renderer.viewpoint, renderer.trials.iloc[trial]
+    view = renderer.viewpoint
+    shown = renderer.trials.iloc[trial]
     settings = FilmSettings(
         camera="orbit",
         elevation=float(view.elevation),
@@ -141,8 +143,8 @@ def write_turntable(
         threshold=threshold,
     )
     worn = renderer.cloaked
-    one = worn.bodies.select_poses([int(shown["pose"])])
-    alone = replace(worn, bodies=one, backgrounds=worn.backgrounds.subset([int(shown["background"])]))
+    body = worn.bodies.select_poses([int(shown["pose"])])
+    alone = replace(worn, bodies=body, backgrounds=worn.backgrounds.subset([int(shown["background"])]))
     turning = film_renderer(alone, camera_path(settings, 1), settings, renderer.view_cache.device)
     results = measure(turning, detectors, CONTROLS, batch=settings.batch)
     save_gif(path, list(draw_frames(turning, results, settings)), TURNTABLE_FPS)
@@ -172,10 +174,10 @@ def camera_path(settings: FilmSettings, poses: int) -> pd.DataFrame:
     if keys is not None:
         moving = {name: np.interp(path["time"], keys["time"], keys[name]) for name in COLUMNS[1:]}
     else:
-        share = np.arange(count) / count  # a full turn ends where it began, so its last frame is one before
+        progress = np.arange(count) / count  # a full turn ends where it began, so its last frame is one before
         approaching = np.linspace(settings.far, settings.near, count)
         moving = {
-            "azimuth": 360 * settings.turns * share if settings.camera == "orbit" else 0.0,
+            "azimuth": 360 * settings.turns * progress if settings.camera == "orbit" else 0.0,
             "elevation": settings.elevation,
             "distance": approaching if settings.camera == "approach" else settings.distance,
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -42,9 +42,11 @@ class _Drawing:
     """Everything that the frames of a take have in common."""
 
     def __init__(self, results: Results, settings: FilmSettings) -> None:
-        self.detectors, self.settings = results.detectors, settings
+        self.detectors = results.detectors
+        self.settings = settings
         self.text = max(9, settings.size // 26)
-        self.gap, self.head = max(2, settings.size // 100), round(1.9 * self.text)
+        self.gap = max(2, settings.size // 100)
+        self.head = round(1.9 * self.text)
         self.scores, self.boxes, self.others, self.tracks = {}, {}, {}, {}
         for spec in self.detectors:
             for control in SIDES:
@@ -53,11 +55,11 @@ class _Drawing:
                 self.scores[spec, control] = rows["score"].to_numpy()
                 self.boxes[spec, control] = frame_boxes(results, rows, min(own, settings.threshold))
                 # What stands on the body instead of a person, where the detector tells; NaN is above no threshold.
-                told = zip(rows["other"], rows["other_name"], strict=True)
-                self.others[spec, control] = [name if score > own else "" for score, name in told]
+                others = zip(rows["other"], rows["other_name"], strict=True)
+                self.others[spec, control] = [name if score > own else "" for score, name in others]
                 tracked = track(frame_boxes(results, rows, own), settings) if settings.track else ()
                 # By frame and index of a box: the number of the box's track.
-                self.tracks[spec, control] = {(i, b): one.number for one in tracked for i, b in one.boxes.items()}
+                self.tracks[spec, control] = {(i, b): path.number for path in tracked for i, b in path.boxes.items()}
         self.own = {spec: operating_point(results.rows(spec, LOGO)) for spec in self.detectors}
         self.count = len(rows)
         self.strip = self._timeline()
@@ -88,7 +90,8 @@ class _Drawing:
 
     def _draw_boxes(self, picture: Image.Image, index: int, control: str) -> int:
         """Draw every detector's boxes, thinly those above its own threshold alone; return which of `VERDICTS` it is."""
-        draw, verdict = ImageDraw.Draw(picture), 0
+        draw = ImageDraw.Draw(picture)
+        verdict = 0
         for d, spec in enumerate(self.detectors):
             color = COLORS[d % len(COLORS)]
             for b, (*corners, score) in enumerate(self.boxes[spec, control][index].tolist()):
@@ -129,10 +132,10 @@ class _Drawing:
         for d, (spec, own) in enumerate(self.own.items()):
             top = d * height + 0.4 * text
             draw.text((left, top), short_name(spec), COLORS[d % len(COLORS)], _font(text, bold=True))
-            told = f"thresholds {self.settings.threshold:g} and its own {own:g}"
-            draw.text((right, top), told, SOFT, _font(text), "ra")
+            caption = f"thresholds {self.settings.threshold:g} and its own {own:g}"
+            draw.text((right, top), caption, SOFT, _font(text), "ra")
             zero = top + 5.4 * text
-            y = lambda score, zero=zero: zero - 3.8 * text * score
+            y = partial(_height, zero, 3.8 * text)
             for value, shade in ((0, FAINT), (1, FAINT), (own, FAINT), (self.settings.threshold, SOFT)):
                 draw.line((left, y(value), right, y(value)), fill=shade)
             for control in (LOGO, CLOTHING):
@@ -141,7 +144,9 @@ class _Drawing:
 
     def _series(self, draw: ImageDraw.ImageDraw, spec: str, control: str, y: Callable, top: float) -> None:
         """Draw one side's scores, and its bar: full where found, thin above the own threshold alone, else faint."""
-        scores, color, height = self.scores[spec, control], SERIES[control].color, 0.5 * self.text
+        scores = self.scores[spec, control]
+        color = SERIES[control].color
+        height = 0.5 * self.text
         points = [(self._x(i), y(float(s))) for i, s in enumerate(scores)]
         if len(points) == 1:
             points = [(self._x(-0.5), points[0][1]), (self._x(0.5), points[0][1])]
@@ -149,6 +154,11 @@ class _Drawing:
         for i, score in enumerate(scores):
             left, right = self._x(i - 0.5), self._x(i + 0.5)
             draw.rectangle((left, top, right, top + height), fill=FAINT)
-            share = 1 if score > self.settings.threshold else 0.4 if score > self.own[spec] else 0
-            if share:
-                draw.rectangle((left, top + (1 - share) * height, right, top + height), color)
+            part = 1 if score > self.settings.threshold else 0.4 if score > self.own[spec] else 0
+            if part:
+                draw.rectangle((left, top + (1 - part) * height, right, top + height), color)
+
+
+def _height(zero: float, span: float, score: float) -> float:
+    """Place a score in a diagram whose 0 is at `zero` and whose 1 lies `span` above, pixels."""
+    return zero - span * score

@@ -105,20 +105,21 @@ class Looker:
         `evaluate`.
         """
         begun = time.monotonic()
-        images, folder = self._images(asked), Path(asked.out)
+        images = self._images(asked)
+        folder = Path(asked.out)
         seen = {spec: {"operating_point": judge.operating_point} for spec, judge in self._detectors.items()}
         with written(folder):
             folder.mkdir(parents=True, exist_ok=True)
         pictures = {name: folder / f"{name}.png" for name in images}
         for name, image in images.items():
-            said = reported(image, self._detectors, LEAST_SCORE)
-            for spec, mine in seen.items():
-                mine[name] = {"max_person": said["scores"][spec], "boxes": said["boxes"][spec]}
+            answer = reported(image, self._detectors, LEAST_SCORE)
+            for spec, by_picture in seen.items():
+                by_picture[name] = {"max_person": answer["scores"][spec], "boxes": answer["boxes"][spec]}
             save_picture(pictures[name], to_pil(image[0]))
-        told = {"detectors": seen, "pictures": {name: str(path) for name, path in pictures.items()}}
-        told |= {"width": asked.width, "height": asked.height, "seconds": round(time.monotonic() - begun, 3)}
-        write_json(folder / ANSWER, told)
-        return told
+        result = {"detectors": seen, "pictures": {name: str(path) for name, path in pictures.items()}}
+        result |= {"width": asked.width, "height": asked.height, "seconds": round(time.monotonic() - begun, 3)}
+        write_json(folder / ANSWER, result)
+        return result
 
     def _images(self, asked: Look) -> dict[str, Float[Tensor, "1 3 H W"]]:
         bodies, view_cache = self._open(asked.scene)
@@ -133,8 +134,10 @@ class Looker:
         colors = {CLOTHING: bodies.face_colors[asked.outfit, ids]}
         if worn:
             colors[CLOAK] = read_colors(Path(asked.colors), len(ids))
-        put = lambda values: torch.tensor(np.asarray(values, np.float32), device=self._device)
-        return {name: compose([view], put(values), behind, None, None) for name, values in colors.items()}
+        tensors = {
+            name: torch.tensor(np.asarray(values, np.float32), device=self._device) for name, values in colors.items()
+        }
+        return {name: compose([view], values, behind, None, None) for name, values in tensors.items()}
 
     def _open(self, spec: str) -> tuple[Bodies, ViewCache]:
         files = [path for path in (Path(spec), Path(spec) / "bodies.npz") if path.exists()]

@@ -51,11 +51,12 @@ def pattern_scores(
     random pattern. Returns a row for each detector and picture: detector, image, pattern (kind), score (best person
     score), plain (the same without the cloth).
     """
-    rng, rows = np.random.default_rng([seed, 0xDEC0]), []
+    rng = np.random.default_rng([seed, 0xDEC0])
+    rows = []
     drawn = _pictures(backgrounds, cloak_textures(bodies), count, size, rng)
     for first in range(0, count, BATCH):
         batch = [next(drawn) for _ in range(min(BATCH, count - first))]
-        with_cloth, without = (torch.stack([one[k] for one in batch]) for k in (0, 1))
+        with_cloth, without = (torch.stack([pair[k] for pair in batch]) for k in (0, 1))
         for spec, detector in detectors.items():
             scores = [max_person_score(detector(i.to(detector.device))).cpu().numpy() for i in (with_cloth, without)]
             rows += [
@@ -72,7 +73,10 @@ def flat_scores(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, se
     Returns the columns of `pattern_scores`. Every kind has the same pictures and places. Bodies that can wear no cloak
     of the zoo have no "flat cloak".
     """
-    cloaks, clothes, rows, size = cloak_textures(bodies), clothing_textures(bodies), [], 416
+    cloaks = cloak_textures(bodies)
+    clothes = clothing_textures(bodies)
+    rows = []
+    size = 416
     for image in range(FLAT_COUNT):
         plain = backgrounds.image(image % len(backgrounds), (size, size)).float() / 255
         textures = _flat_textures(cloaks, clothes, np.random.default_rng([seed, 0xF1A7, image]))
@@ -81,8 +85,8 @@ def flat_scores(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, se
             for texture in textures.values()
         ]
         scores = max_person_score(detector(torch.stack([plain, *shown]).to(detector.device))).cpu().numpy()
-        told = {"detector": detector.spec, "image": image, "plain": scores[0]}
-        rows += [told | {"pattern": kind, "score": score} for kind, score in zip(textures, scores[1:], strict=True)]
+        row = {"detector": detector.spec, "image": image, "plain": scores[0]}
+        rows += [row | {"pattern": kind, "score": score} for kind, score in zip(textures, scores[1:], strict=True)]
     return pd.DataFrame(rows)
 
 
@@ -95,13 +99,14 @@ def pattern_alarms(detector: Detector, backgrounds: Backgrounds, bodies: Bodies,
     "plain_own": the same of these pictures without the cloth, "n"}}.
     """
     mixed = pattern_scores({detector.spec: detector}, backgrounds, bodies, seed=seed)
-    table, told = pd.concat([mixed, flat_scores(detector, backgrounds, bodies, seed)]), {}
+    table = pd.concat([mixed, flat_scores(detector, backgrounds, bodies, seed)])
+    alarms = {}
     for kind, rows in table.groupby("pattern"):
-        told[str(kind)] = {"n": len(rows)}
+        alarms[str(kind)] = {"n": len(rows)}
         for end, threshold in (("", THRESHOLD), ("_own", detector.operating_point)):
             for name, column in (("alarms", "score"), ("plain", "plain")):
-                told[str(kind)][name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
-    return told
+                alarms[str(kind)][name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
+    return alarms
 
 
 def _pictures(
@@ -127,8 +132,8 @@ def _flat_textures(
     }
     worn = {"flat clothing": clothes[rng.integers(len(clothes))]}
     worn |= {"flat cloak": cloaks[rng.integers(len(cloaks))]} if cloaks else {}
-    found = {kind: texture.astype(np.float32) for kind, texture in drawn.items()} | worn
-    return {kind: found[kind] for kind in FLAT if kind in found}
+    textures = {kind: texture.astype(np.float32) for kind, texture in drawn.items()} | worn
+    return {kind: textures[kind] for kind in FLAT if kind in textures}
 
 
 def clothing_textures(bodies: Bodies) -> list[Texture]:
@@ -139,7 +144,9 @@ def clothing_textures(bodies: Bodies) -> list[Texture]:
 
 def cloak_textures(bodies: Bodies) -> list[Texture]:
     """Lay the zoo's cloaks that these bodies can wear flat, by name."""
-    textures, centres, normals = [], face_centres(bodies), face_normals(bodies)
+    textures = []
+    centres = face_centres(bodies)
+    normals = face_normals(bodies)
     for name in sorted(shelved()):
         folder = run_path(MARK + name)
         if read_run(folder).get("topology") == bodies.topology:
