@@ -1,8 +1,8 @@
 """A rig of fifteen segments, and the faces of the embedded topologies on it.
 
 The rest shape, its skinning weights and its bones are those of the embedded clothed people (`clothed.npz` in
-`sources/bodies/data`). The known topologies come of one mesh: the clothed people are cut from the sample bodies, and Anny's own mesh is theirs
-with a tongue and in triangles. So one fit of a person serves a logo of any of them.
+`sources/bodies/data`). The known topologies come of one mesh: the clothed people are cut from the sample bodies, and
+Anny's own mesh is theirs with a tongue and in triangles. So one fit of a person serves a logo of any of them.
 """
 
 from __future__ import annotations
