@@ -62,7 +62,7 @@ def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int, cull: Cu
     *parts, owner = clip(corners, focal, near, screen.width, screen.height)
     corner = torch.arange(len(x), len(x) + 3 * len(owner), device=x.device).view(3, -1)
     return FlatTriangles(
-        *(torch.cat([one, part.view(-1)]) for one, part in zip((x, y, inverse_depth), parts, strict=True)),
+        *(torch.cat([kept, part.view(-1)]) for kept, part in zip((x, y, inverse_depth), parts, strict=True)),
         torch.cat([triangles[:, whole], corner], 1),
         torch.cat([ids[whole], crossing[owner]]),
         torch.cat([one_sided[whole], one_sided[crossing[owner]]]),
