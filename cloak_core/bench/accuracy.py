@@ -146,7 +146,9 @@ class Judge:
 
     def __init__(self, scene: Scene, exact: Reference) -> None:
         self.camera = scene.camera
-        self.exact, self.areas, self.crowded = exact.matrix, exact.areas, exact.crowded
+        self.exact = exact.matrix
+        self.areas = exact.areas
+        self.crowded = exact.crowded
         self.colors = smooth_colors(scene.bodies)
         self.black = torch.zeros(self.camera.width * self.camera.height, 3)
         generator = torch.Generator().manual_seed(0)

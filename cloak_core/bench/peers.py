@@ -86,7 +86,8 @@ class Embree(Peer):
         import embreex.mesh_construction
         import embreex.rtcore_scene
 
-        self._scene_of, self._mesh_of = embreex.rtcore_scene.EmbreeScene, embreex.mesh_construction.TriangleMesh
+        self._scene_of = embreex.rtcore_scene.EmbreeScene
+        self._mesh_of = embreex.mesh_construction.TriangleMesh
         self._triangles = triangles.astype(np.int32)
 
     def pose(self, vertices: np.ndarray) -> None:
@@ -145,7 +146,8 @@ class Open3D(Peer):
     def __init__(self, triangles: np.ndarray, threads: int) -> None:
         import open3d
 
-        self._open3d, self._threads = open3d, threads
+        self._open3d = open3d
+        self._threads = threads
         self._triangles = open3d.core.Tensor(triangles.astype(np.uint32))
 
     def pose(self, vertices: np.ndarray) -> None:

@@ -32,7 +32,8 @@ class TwinLight:
         self._vertices = bodies.vertices[pose].astype(np.float64)
         self._triangles = bodies.triangles
         self._normals = vertex_normals(bodies, pose)
-        self._camera, self._light = camera, light
+        self._camera = camera
+        self._light = light
         pivot = camera.pivot or (self._vertices.min(0) + self._vertices.max(0)) / 2
         self._right, self._up, self._back = (np.array(axis) for axis in camera.axes)
         self._eye = np.asarray(pivot) + camera.distance * self._back

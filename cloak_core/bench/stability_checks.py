@@ -57,9 +57,9 @@ def _seen(together: bool = True, device: str = "cpu") -> tuple[Tensor, list[View
     return ids, [cache.view(*key) for cache in caches for key in _KEYS]
 
 
-def _differences(one: tuple[Tensor, list[View]], other: tuple[Tensor, list[View]]) -> int:
+def _differences(first: tuple[Tensor, list[View]], second: tuple[Tensor, list[View]]) -> int:
     """Count face ids that differ, and weights that do so by more than `IMAGE`."""
-    return int((one[0] != other[0]).sum()) + sum(_differ(a, b) for a, b in zip(one[1], other[1], strict=True))
+    return int((first[0] != second[0]).sum()) + sum(_differ(a, b) for a, b in zip(first[1], second[1], strict=True))
 
 
 def _differ(a: View, b: View) -> int:

@@ -252,15 +252,15 @@ def run_bench_ranks(
             for count, measured in rates.items():
                 out = Path(folder, f"{number}-{count}")
                 measured.append(batch * _steps_per_second(count, threads // count, [*options, "--out", str(out)], out))
-    one, many = (statistics.median(rates[count]) for count in (1, ranks))
+    alone, together = (statistics.median(rates[count]) for count in (1, ranks))
     return {
         spec: {
             "batch": batch,
             "ranks": ranks,
             "threads": threads,
-            "one": round(one, 2),
-            "many": round(many, 2),
-            "throughput": round(many / one, 4),
+            "one": round(alone, 2),
+            "many": round(together, 2),
+            "throughput": round(together / alone, 4),
             "all": {str(count): [round(rate, 2) for rate in measured] for count, measured in rates.items()},
         },
         "machine": machine(),

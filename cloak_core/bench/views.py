@@ -76,11 +76,11 @@ def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, f
     keys = [(0, replace(camera, azimuth=camera.azimuth + i)) for i in range(BATCH)]
     result = {}
     for name, work in (("visibility", cache.visible), ("new_view", cache.build)):
-        one, many = (
+        single, batch = (
             timed(partial(work, some), max(3, repeats // 4), cache.device.type, warm_up=2)["median"]
             for some in (keys[:1], keys)
         )
-        result |= {f"{name}_ms": one, f"{name}_batch_ratio": many / one}
+        result |= {f"{name}_ms": single, f"{name}_batch_ratio": batch / single}
     return result
 
 

@@ -82,7 +82,7 @@ def baked_view(
     cover = cover.to(device)
     per_pixel = torch.bincount(pixel, minlength=count)
     kind = torch.where(per_pixel > 0, 0, torch.where(cover <= 0, 3, torch.where(cover < 1, 1, 2)))
-    logo, edge, inside = ((kind == one).nonzero()[:, 0] for one in range(3))
+    logo, edge, inside = ((kind == number).nonzero()[:, 0] for number in range(3))
     pixels = torch.cat([logo, edge, inside])
     key = pixel * logo_count + face
     if (key[1:] < key[:-1]).any():

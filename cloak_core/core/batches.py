@@ -84,8 +84,11 @@ class Batcher:
         self.sampler = sampler
         self.source = sampler.source
         self.backgrounds = backgrounds
-        self.augmentation, self.size = settings.augmentation, settings.views.size
-        self.worn, self.device, self.techniques = worn, device, techniques
+        self.augmentation = settings.augmentation
+        self.size = settings.views.size
+        self.worn = worn
+        self.device = device
+        self.techniques = techniques
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """Build the images of `step`, or one process's share of them."""
@@ -135,7 +138,9 @@ class Prefetcher:
     """
 
     def __init__(self, batcher: Batcher, rank: int = 0, ranks: int = 1) -> None:
-        self._batcher, self._rank, self._ranks = batcher, rank, ranks
+        self._batcher = batcher
+        self._rank = rank
+        self._ranks = ranks
         self._pool: ThreadPoolExecutor | None = None
         if looks_ahead(batcher.device):
             # On one CPU thread: a second team of threads would fight the detector's for the cores.

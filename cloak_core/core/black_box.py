@@ -258,7 +258,8 @@ class QueryPrior:
         for detector in objective.detectors:
             if not detector.differentiable:
                 raise InputError(f"--query-prior {detector.spec}: gives no gradients")
-        self.objective, self.centres = objective, centres
+        self.objective = objective
+        self.centres = centres
 
     def directions(
         self, batch: Batch, colors: Float[Tensor, "L 3"], step: int, random: np.random.Generator

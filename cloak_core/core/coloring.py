@@ -20,7 +20,8 @@ class Coloring:
     def __init__(
         self, techniques: Techniques = NO_TECHNIQUES, worn: Worn | None = None, is_sigmoid: bool = False
     ) -> None:
-        self.is_sigmoid, self._worn = is_sigmoid, worn
+        self.is_sigmoid = is_sigmoid
+        self._worn = worn
         self._free, self._mix, self._tone, self._choose, self._keep = map(
             techniques.at, ("free", "mix", "tone", "choose", "keep")
         )

@@ -22,7 +22,9 @@ class Ensemble:
     def __init__(
         self, settings: LossSettings, count: int, seed: int = 0, techniques: Techniques = NO_TECHNIQUES
     ) -> None:
-        self.count, self.settings, self.seed = count, settings, seed
+        self.count = count
+        self.settings = settings
+        self.seed = seed
         self.per_step = min(settings.detectors_per_step or count, count)
         weights = settings.detector_weights or (1.0,) * count
         if len(weights) != count:

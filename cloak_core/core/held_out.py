@@ -45,7 +45,10 @@ class HeldOut:
     """Measures colours on a fixed set of images and remembers the best."""
 
     def __init__(self, settings: RunSettings, batcher: Batcher, objective: Objective, world: World) -> None:
-        self.settings, self.batcher, self.objective, self.world = settings, batcher, objective, world
+        self.settings = settings
+        self.batcher = batcher
+        self.objective = objective
+        self.world = world
         self.best: Best | None = None
 
     def is_due(self, step: int, steps: int) -> bool:

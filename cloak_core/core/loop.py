@@ -100,11 +100,15 @@ class TrainingLoop:
         on_event: OnEvent | None,
         world: World,
     ) -> None:
-        self.run, self.batcher, self.objective = run, batcher, objective
+        self.run = run
+        self.batcher = batcher
+        self.objective = objective
         self.techniques = objective.techniques
         self.settings = settings
         self.sampler = batcher.sampler
-        self.optimizer, self.held_out, self.world = optimizer, held_out, world
+        self.optimizer = optimizer
+        self.held_out = held_out
+        self.world = world
         self.step = 0
         self._earlier = 0.0
         self._started = self._shown = time.perf_counter()
@@ -303,7 +307,8 @@ class TrainingLoop:
                     self.held_out.load(checkpoint.tensors)
             except (KeyError, ValueError) as error:
                 raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
-            self.step, self._earlier = checkpoint.step, checkpoint.time
+            self.step = checkpoint.step
+            self._earlier = checkpoint.time
         if self.world.is_first:
             rewind_events(self.run.events, self.step)
         return damaged

@@ -46,7 +46,8 @@ class Objective:
         device: torch.device,
         techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
-        self.settings, self.run = settings.objective, settings.run
+        self.settings = settings.objective
+        self.run = settings.run
         self.detectors = detectors
         self.techniques = techniques
         self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)

@@ -68,10 +68,10 @@ def _merged(patch: np.ndarray, area: Float[np.ndarray, " L"], logo: Logo, least:
     """Join patches under `least` square metres to the neighbour with which they share the longest border."""
     areas = np.bincount(patch, area)
     borders: list[dict[int, float]] = [{} for _ in areas]
-    for one, other, length in zip(*patch[logo.edges].T.tolist(), logo.edge_lengths.tolist(), strict=True):
-        if one != other:
-            borders[one][other] = borders[one].get(other, 0.0) + length
-            borders[other][one] = borders[other].get(one, 0.0) + length
+    for first, second, length in zip(*patch[logo.edges].T.tolist(), logo.edge_lengths.tolist(), strict=True):
+        if first != second:
+            borders[first][second] = borders[first].get(second, 0.0) + length
+            borders[second][first] = borders[second].get(first, 0.0) + length
     into = np.arange(len(areas))
     for small in np.argsort(areas, kind="stable").tolist():
         if areas[small] >= least or not borders[small]:

@@ -63,11 +63,11 @@ class Backdrops(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Two sources: `share` of the images show the second."""
+    """Two sources: the second is shown in a part of the images, `rate` of them on average."""
 
     first: Source
     second: Source
-    share: float
+    rate: float
     seed: int
 
     @property
@@ -94,7 +94,7 @@ class Mixture:
         random: np.random.Generator,
     ) -> dict[str, np.ndarray]:
         """See `Source`. The second draws from streams of its own, so that the first draws as it does alone."""
-        chosen = np.random.default_rng([self.seed, _CHOICE, step]).random(len(images)) < self.share
+        chosen = np.random.default_rng([self.seed, _CHOICE, step]).random(len(images)) < self.rate
         columns = self.first.draw(step, images, member, direction, random)
         return columns | self.second.draw(step, images, member, direction, random) | {"second": chosen}
 

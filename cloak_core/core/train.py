@@ -64,7 +64,9 @@ class Job:
 
 def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, world: World) -> RunResult:
     """Train into the run folder `out`, in each process of `world`. InputError: the folder, a detector that changed."""
-    settings, worn, techniques = job.settings, job.worn, job.techniques
+    settings = job.settings
+    worn = job.worn
+    techniques = job.techniques
     device = local_device(settings.compute.device)
     search = None
     if settings.queries.black_box_queries is not None:

@@ -185,7 +185,8 @@ class CyclesRenderer(BodyRenderer):
 
     def __init__(self, renderer: BodyRenderer, folder: Path, light: str) -> None:
         super().__init__(**{field.name: getattr(renderer, field.name) for field in fields(BodyRenderer)})
-        self._folder, self._light = folder, light
+        self._folder = folder
+        self._light = light
         self._bodies: dict[tuple[int, float, str], Tensor] = {}
 
     def compose(

@@ -191,6 +191,6 @@ def training_times(trained: Sequence[Trained]) -> dict[str, float | None]:
     """Average `seconds` and `cpu_seconds` over repetitions, one decimal; None where they were not measured."""
     times = {}
     for name in ("seconds", "cpu_seconds"):
-        mean = float(np.mean([getattr(one, name) for one in trained]))
+        mean = float(np.mean([getattr(run, name) for run in trained]))
         times[name] = None if math.isnan(mean) else round(mean, 1)
     return times

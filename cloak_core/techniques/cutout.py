@@ -32,7 +32,8 @@ class Cutout(Technique):
 
     def __init__(self, most: float, centres: Float[np.ndarray, "C D"]) -> None:
         """most: largest fraction of the colours; centres: where they lie, metres."""
-        self.most, self.centres = most, centres
+        self.most = most
+        self.centres = centres
 
     @classmethod
     def build(cls, setup: Setup) -> Cutout | None:

@@ -44,7 +44,8 @@ class Inks(Technique):
     is_exact = bars_search = True
 
     def __init__(self, most: int, fixed: Float[torch.Tensor, "P 3"] | None = None) -> None:
-        self.most, self.fixed = most, fixed
+        self.most = most
+        self.fixed = fixed
         self.rows = most if fixed is None or len(fixed) > most else 0
         """How many inks are free parameters."""
         self.progress = 0.0

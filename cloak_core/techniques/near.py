@@ -57,7 +57,9 @@ class Near(Technique):
 
     def __init__(self, garment: Float[np.ndarray, "L 3"], mean: float, most: float) -> None:
         """garment: sRGB in [0, 1], float32; mean and most: the largest mean and 95th percentile of CIEDE2000."""
-        self.garment, self.mean, self.most = garment, mean, most
+        self.garment = garment
+        self.mean = mean
+        self.most = most
 
     @classmethod
     def build(cls, setup: Setup) -> Near | None:

@@ -42,7 +42,8 @@ class Printability(Technique):
     files = (("palette", "palette"),)
 
     def __init__(self, weight: float, palette: Float[np.ndarray, "P 3"], device: torch.device) -> None:
-        self.weight, self.colors = weight, palette
+        self.weight = weight
+        self.colors = palette
         self.palette = torch.as_tensor(palette, dtype=torch.float32, device=device)
 
     @classmethod

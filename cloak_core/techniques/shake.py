@@ -44,7 +44,8 @@ class Shake(Technique):
     settings = ShakeSettings
 
     def __init__(self, reach: float, seed: int) -> None:
-        self.reach, self.seed = reach, seed
+        self.reach = reach
+        self.seed = seed
 
     @classmethod
     def build(cls, setup: Setup) -> Shake | None:
@@ -82,7 +83,8 @@ class _Shaker:
     """Calls torch's functions, their summands changed."""
 
     def __init__(self, reach: float, random: torch.Generator) -> None:
-        self.reach, self.random = reach, random
+        self.reach = reach
+        self.random = random
         # By where they lie, for a slice of all channels is still the same map; the tensors themselves are kept so that
         # no other comes to lie there.
         self._read: dict[int, torch.Tensor] = {}

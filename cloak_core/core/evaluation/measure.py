@@ -89,7 +89,8 @@ class Progress:
 
     def __init__(self, total: int, on_progress: OnProgress | None) -> None:
         self.done = 0
-        self.total, self.on_progress = total, on_progress
+        self.total = total
+        self.on_progress = on_progress
 
     def advance(self, images: int) -> None:
         """Count these images as done."""
@@ -116,7 +117,8 @@ def _judge_trials(
     count = len(renderer.trials)
     shape = len(detectors), len(controls), count
     scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
-    scores["other_name"], true_boxes = np.full(shape, "", object), np.zeros((count, 4), np.float32)
+    scores["other_name"] = np.full(shape, "", object)
+    true_boxes = np.zeros((count, 4), np.float32)
     box_rows = []
     for batch in batches(np.arange(count), size):
         views = renderer.views(batch)

@@ -27,11 +27,14 @@ def clip(
     of the triangle each is a part of.
     """
     polygon, size = cut(corners, corners[:, 2] - near)
+    # Plane by plane. After the near plane depth is positive, so the four sides of the guard band can be tested without
+    # dividing by it: |x| * focal <= z * reach.
     for axis, center in ((0, width / 2), (1, height / 2)):
         reach = GUARD / GRID - center  # the guard band is centred on the image's corner, the view on its middle
         for sign in (1.0, -1.0):
             polygon, now = cut(polygon, polygon[:, axis] * focal * sign + polygon[:, 2] * reach)
             size = torch.minimum(now, size * len(polygon))  # what was nothing stays that
+    # A convex polygon is a fan of triangles around its first corner.
     part = torch.arange(1, len(polygon) - 1, device=corners.device).unsqueeze(-1)
     fan, owner = (part < size - 1).nonzero(as_tuple=True)
     fan = fan + 1
@@ -52,13 +55,14 @@ def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int, cull: Cu
         return FlatTriangles(x, y, inverse_depth, triangles, ids, one_sided)
     whole = screen.in_guard_band[view][triangles].all(0)
     ahead = (screen.view[2][view] >= screen.near[view])[triangles].any(0)
+    # Only triangles that cross a plane are clipped: those of most views are none.
     crossing = (ahead & ~whole).nonzero().view(-1)
     corners = torch.stack([axis[view][triangles[:, crossing]] for axis in screen.view], 1)
     focal, near = (t[view].expand(len(crossing)) for t in (screen.focal, screen.near))
     *parts, owner = clip(corners, focal, near, screen.width, screen.height)
     corner = torch.arange(len(x), len(x) + 3 * len(owner), device=x.device).view(3, -1)
     return FlatTriangles(
-        *(torch.cat([one, part.view(-1)]) for one, part in zip((x, y, inverse_depth), parts, strict=True)),
+        *(torch.cat([kept, part.view(-1)]) for kept, part in zip((x, y, inverse_depth), parts, strict=True)),
         torch.cat([triangles[:, whole], corner], 1),
         torch.cat([ids[whole], crossing[owner]]),
         torch.cat([one_sided[whole], one_sided[crossing[owner]]]),

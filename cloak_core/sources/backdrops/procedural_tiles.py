@@ -76,22 +76,22 @@ def grid(rng: np.random.Generator, color: Color, rows: int, columns: int, offset
 
 def checker(rng: np.random.Generator) -> Image.Image:
     """Draw a floor of two colours."""
-    one = random_color(rng, saturation=(0, 0.5))
-    two = shade(one, rng.uniform(0.4, 0.8)) if rng.random() < 0.6 else random_color(rng)
+    color = random_color(rng, saturation=(0, 0.5))
+    other_color = shade(color, rng.uniform(0.4, 0.8)) if rng.random() < 0.6 else random_color(rng)
     cells = rng.integers(2, 7)
     pattern = np.indices((cells, cells)).sum(0)[..., None] % 2
-    small = Image.fromarray(np.where(pattern, one, two).astype(np.uint8))
+    small = Image.fromarray(np.where(pattern, color, other_color).astype(np.uint8))
     return small.resize((cells * 16, cells * 16), Image.Resampling.NEAREST)
 
 
 def stripes(rng: np.random.Generator, upright: bool = True) -> Image.Image:
     """Draw wallpaper, curtains, cladding: bands of two colours, soft or hard."""
-    one = random_color(rng, saturation=(0, 0.5))
-    two = shade(one, rng.uniform(0.5, 0.95))
+    color = random_color(rng, saturation=(0, 0.5))
+    other_color = shade(color, rng.uniform(0.5, 0.95))
     phase = np.linspace(0, 2 * np.pi * rng.integers(4, 25), 192, dtype=np.float32) + rng.normal(0, 0.4, 192)
     wave = np.sin(phase) * rng.choice([1, 5])
     field = np.broadcast_to(wave.clip(-1, 1).astype(np.float32), (96, 192))
-    return blend(field if upright else np.ascontiguousarray(field.T), two, one)
+    return blend(field if upright else np.ascontiguousarray(field.T), other_color, color)
 
 
 def foliage(rng: np.random.Generator, height: int, width: int, hue: Range = (0.16, 0.42)) -> Image.Image:

@@ -96,9 +96,12 @@ class BodySource:
         view_cache: ViewCache | None = None,
     ) -> None:
         """view_cache: of these bodies; one of its own where none is given."""
-        self.bodies, self.worn = bodies, worn
+        self.bodies = bodies
+        self.worn = worn
         self.plan = BodyPlan(settings, bodies.pose_count, bodies.outfit_count)
-        self.directions, self.members, self.is_fresh = self.plan.directions, self.plan.members, self.plan.is_fresh
+        self.directions = self.plan.directions
+        self.members = self.plan.members
+        self.is_fresh = self.plan.is_fresh
         self.draw = self.plan.draw
         if view_cache is None:
             # Kept for the next run, unless each image has a camera of its own.

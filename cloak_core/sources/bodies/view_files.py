@@ -49,7 +49,9 @@ class StoredViews:
     def __init__(
         self, files: DiskCache, bodies: Bodies, recipe: object, surface: Surface, device: torch.device
     ) -> None:
-        self._files, self._bodies, self._device = files, bodies, device
+        self._files = files
+        self._bodies = bodies
+        self._device = device
         self._places = {} if surface.corner_uv is None else {"uv": 2}
         self._places |= {} if surface.corner_cloth is None else {"cloth": 4}
         arrays = [bodies.triangles, bodies.triangle_face]

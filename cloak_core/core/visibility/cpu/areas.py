@@ -62,7 +62,9 @@ def _bands(load: np.ndarray, window: Window) -> list[tuple[int, int, int]]:
 def resolve_visibility(mesh, owner, coverage, begin, edge_sum, x0, y0, width):
     """Reduce the pieces of a band to what is visible of them, in place: share of the pixel (0: hidden) and centroid.
 
-    begin [pixels + 1]: where each pixel's pieces begin. Pixels in which nothing overlaps stay as they are. Returns how
+    owner: int32 [n], the triangle of each piece, sorted by pixel; coverage: float32 [3, n], area and centroid, changed
+    in place; begin: int64 [pixels + 1], where each pixel's pieces begin; edge_sum: int64 [pixels] (edge_hash.py); x0,
+    y0, width: the band's left and top and its columns. Pixels in which nothing overlaps stay as they are. Returns how
     many pixels had to be sampled.
     """
     most, sampled, cuts = 64, 0, 0
@@ -70,16 +72,17 @@ def resolve_visibility(mesh, owner, coverage, begin, edge_sum, x0, y0, width):
     for place in range(len(begin) - 1):
         start = begin[place]
         count = begin[place + 1] - begin[place]
-        cuts = cuts if place % width else 0
+        cuts = cuts if place % width else 0  # a row begins: its tests are counted anew
         if count < 2:
             continue
         total = 0.0
         for i in range(start, start + count):
             total += coverage[0, i]
+        # All edges are shared and the areas add up to 1: every point is covered once, nothing is hidden.
         if edge_sum[place] == 0 and abs(total - 1) <= WHOLE:
             continue
         if count > most:
-            most = 2 * count
+            most = 2 * count  # doubled, so that memory is allocated rarely
             work = make_workspace(most)
         at = x0 + place % width, y0 + place // width, PIXEL
         own = slice(start, start + count)
@@ -93,7 +96,10 @@ def resolve_visibility(mesh, owner, coverage, begin, edge_sum, x0, y0, width):
 
 @loop
 def _emit(ids, owner, coverage, begin, x0, y0, width, image_width):
-    """List the visible pieces: pixel, triangle, area, and the centroid in pixels."""
+    """List the visible pieces: pixel and triangle int64, area float32, the centroid in pixels float64, [m] each.
+
+    ids: int64 [N], of the triangles; image_width: columns of the whole image; the rest as `resolve_visibility`.
+    """
     most = len(owner)
     count = 0
     pixel, triangle, area = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.float32)
@@ -107,4 +113,5 @@ def _emit(ids, owner, coverage, begin, x0, y0, width, image_width):
                 area[count] = coverage[0, i]
                 x[count], y[count] = column + coverage[1, i], row + coverage[2, i]
                 count += 1
+    # Copies: what is not used of these arrays should not stay in memory.
     return pixel[:count].copy(), triangle[:count].copy(), area[:count].copy(), x[:count].copy(), y[:count].copy()

@@ -34,9 +34,10 @@ _BEHIND, _NEARER, _PARTLY = 0, 1, 2
 def cut_hidden(mesh, at, owner, coverage, work, most):
     """Reduce a pixel's pieces to what is visible of them.
 
-    at: column, row and size (as a shift) of the pixel; owner [n]: the triangle of each piece; coverage [3, n]: area (0:
-    hidden) and centroid, changed in place. Returns how many tests of a convex part against a triangle it took, and
-    False where that is more than `most`, or too many pieces or parts; `coverage` is unfinished then.
+    mesh: a `Mesh`; at: column, row and size (as a shift) of the pixel; owner: int32 [n], the triangle of each piece;
+    coverage: float32 [3, n], area (0: hidden) and centroid, changed in place; work: a `Workspace` for n pieces. Returns
+    how many tests of a convex part against a triangle it took, and False where that is more than `most`, or too many
+    pieces or parts; `coverage` is unfinished then.
     """
     count = len(owner)
     if count > MOST_PIECES:
@@ -48,11 +49,15 @@ def cut_hidden(mesh, at, owner, coverage, work, most):
     for i in range(count):
         work.fields[i] = describe(mesh, owner[i], at, pieces, i)
         work.behind[i] = -pieces[i].bounds[1]
+    # Nearest first, as Weiler and Atherton do: a piece's hiders mostly come before it.
     order = work.order[:count]
     _sort(order, work.behind)
     whole, left = _closed_front(mesh, at, owner, coverage, order, pieces)
+    # Where the nearest pieces fill the pixel by themselves (whole == left) they are seen as they are and all others
+    # are hidden: nothing is cut.
     for k in range(left if whole < left else 0):
         i = order[k]
+        # The pixel is full, and all of this piece lies behind all of what filled it: so does every piece after it.
         if (seen >= FULL) & (pieces[i].bounds[1] < far):
             left = k
             break
@@ -70,6 +75,7 @@ def cut_hidden(mesh, at, owner, coverage, work, most):
 @inner
 def _sort(order, behind):
     """Sort pieces, nearest first (Shell 1959); allocates nothing, which pixels of few pieces would wait for."""
+    # Knuth's gaps 1, 4, 13, 40 ...
     gap = 1
     while gap < len(order) // 3:
         gap = 3 * gap + 1
@@ -100,6 +106,7 @@ def _closed_front(mesh, at, owner, coverage, order, pieces):
     for k in range(len(order)):
         i = order[k]
         if whole >= 0:
+            # The pixel is filled; pieces that reach before the farthest point of what fills it may still be seen.
             if pieces[i].bounds[1] < far:
                 return whole, k
             continue
@@ -115,7 +122,11 @@ def _closed_front(mesh, at, owner, coverage, order, pieces):
 
 @inner
 def _cut_piece(i, order, left, coverage, work, most):
-    """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`."""
+    """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`.
+
+    order: int64 [n], nearest first, of which the first `left` may be seen; the parts of piece i are the polygons from
+    `_PARTS` to `end` of the pool.
+    """
     pieces, pool = work.pieces, work.pool
     end, cuts = 0, 0
     for k in range(_find_hiders(work, i, order, left)):
@@ -125,13 +136,14 @@ def _cut_piece(i, order, left, coverage, work, most):
         depth = _depth(pieces, i, q)
         if depth == _BEHIND:
             continue
-        if end == 0:
+        if end == 0:  # the first that may hide it: only now are polygons needed
             end = _PARTS + _polygon(pool, _PARTS, pieces, i)
         cuts += end - _PARTS
         end, fits = _take_away(pool, pieces, i, q, depth, end)
         if not fits or cuts > most:
             return cuts, False
         if end == _PARTS:
+            # Nothing is left. Without fields it is found as no hider either: its own hiders hide what it would.
             work.fields[i] = 0
             break
     if end > 0:
@@ -157,8 +169,9 @@ def _find_hiders(work, i, order, left):
     low = pieces[i].bounds[0]
     for k in range(left):
         q = order[k]
-        if -work.behind[q] < low:
+        if -work.behind[q] < low:  # sorted: this piece and all after it lie behind piece i
             break
+        # Written always, kept by counting: boxes that share no field of the pixel cannot meet.
         hiders[near] = q
         near += (fields[q] & own_fields) != 0
     for k in range(near):
@@ -188,6 +201,7 @@ def _may_hide(pieces, i, q):
     """Test whether boxes meet and piece q is not behind piece i there."""
     left, top, right, bottom = _overlap(pieces, i, q)
     c, a, b = _ahead(pieces, i, q)
+    # A plane is greatest over a box in one of its corners.
     ahead = c + max(a * left, a * right) + max(b * top, b * bottom)
     meet = (left < right - TOUCH) & (top < bottom - TOUCH)
     return meet & (ahead >= 0) & (pieces[q].bounds[1] >= pieces[i].bounds[0])
@@ -198,7 +212,7 @@ def _depth(pieces, i, q):
     """Tell whether piece q is nearer than piece i wherever boxes meet, or in a part of that, or nowhere."""
     left, top, right, bottom = _overlap(pieces, i, q)
     c, a, b = _ahead(pieces, i, q)
-    if (a == 0) & (b == 0) & (c == 0):
+    if (a == 0) & (b == 0) & (c == 0):  # the same plane: the lower id is in front, wherever the two are compared
         return _NEARER if pieces[q].id < pieces[i].id else _BEHIND
     if c + max(a * left, a * right) + max(b * top, b * bottom) <= 0:
         return _BEHIND
@@ -211,6 +225,7 @@ def _beside(pieces, i, q):
     left, top, right, bottom = _overlap(pieces, i, q)
     if (left >= right - TOUCH) | (top >= bottom - TOUCH):
         return True
+    # Separating axis test, with the edges of one triangle alone: those of q are found when it is cut.
     line, corner = pieces[i].line, pieces[q].corner
     for k in range(0, 9, 3):
         a, b, c = line[k], line[k + 1], line[k + 2]
@@ -224,10 +239,17 @@ def _beside(pieces, i, q):
 
 @inner
 def _take_away(pool, pieces, i, q, depth, end):
-    """Cut away from the parts of piece i what piece q hides; returns the end of the parts, and whether all fit."""
+    """Cut away from the parts of piece i what piece q hides; returns the end of the parts, and whether all fit.
+
+    depth: `_NEARER` or `_PARTLY`. What is hidden of a part is convex: inside the three edges of q and, where the
+    triangles pierce each other, on the side of their common line where q is nearer. Cutting along one line after the
+    other splits off what lies outside of it, visible and convex; what stays inside all lines is dropped.
+    """
     c, a, b = _ahead(pieces, i, q)
+    # Scaled to length 1 like the edges, so that distances from it are pixels.
     scale = 1 / np.sqrt(a * a + b * b) if depth == _PARTLY else 0.0
     nearer = a * scale, b * scale, c * scale
+    # Backwards: parts that are split off are added behind, and are not looked at again.
     for slot in range(end - 1, _PARTS - 1, -1):
         crossed, missed = _crossed(pool, slot, pieces, q, depth, nearer)
         if missed:
@@ -240,11 +262,13 @@ def _take_away(pool, pieces, i, q, depth, end):
             u, v, w = _line(pieces, q, k, nearer)
             if end >= MOST_PARTS or not cut(pool, source, u, v, w, into, end):
                 return end, False
+            # The part outside of this line stays; what is inside goes on, in one of the two workspaces in turn.
             end += (pool[end, 0] >= 3) and (measure(pool, end)[0] > _LEAST)
             if pool[into, 0] < 3:
                 break
             source = into
             into = 1 - into
+        # The part itself is used up: the last one takes its place.
         end -= 1
         if slot < end:
             copy(pool, end, slot)
@@ -267,7 +291,7 @@ def _crossed(pool, slot, pieces, q, depth, nearer):
     for k in range(4 if depth == _PARTLY else 3):
         a, b, c = _line(pieces, q, k, nearer)
         inside, outside = reach(pool, slot, a, b, c)
-        if inside <= TOUCH:
+        if inside <= TOUCH:  # all of the part lies outside of this line: nothing of it is hidden
             return 0, True
         crossed |= (outside < -TOUCH) << k
     return crossed, False
@@ -280,6 +304,7 @@ def _polygon(pool, slot, pieces, i):
     for k in range(6):
         pool[slot, 1 + k] = pieces[i].corner[k]
     for k in range(4):
+        # The pixel's sides, positive inside: x >= 0, x <= 1, y >= 0, y <= 1.
         sign = 1.0 if k % 2 == 0 else -1.0
         a, b, c = sign if k < 2 else 0.0, sign if k >= 2 else 0.0, 0.0 if k % 2 == 0 else 1.0
         if reach(pool, slot, a, b, c)[1] < 0:

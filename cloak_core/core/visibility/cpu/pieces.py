@@ -25,8 +25,9 @@ NOTHING = 1e-9
 def find_candidates(x, y, corner, one_sided, x0, x1, y0, y1):
     """List triangles that touch the window and have area: first front-facing, then back-facing ones.
 
-    Returns index and doubled area, first and last row; and for every row of the window how many pixels at most they
-    touch there.
+    x, y: int32 [K], snapped; corner: int64 [3, N]; one_sided: bool [N], dropped where the back shows; x0, x1, y0, y1:
+    the window, pixels. Returns index and doubled area, first and last row; and for every row of the window how many
+    pixels at most they touch there.
     """
     most = corner.shape[1]
     count, backs = 0, 0
@@ -42,11 +43,13 @@ def find_candidates(x, y, corner, one_sided, x0, x1, y0, y1):
         c0, c1 = touched(x[a], x[b], x[c], x0, x1)
         if (c0 > c1) | (r0 > r1):
             continue
+        # Fronts fill the arrays from their beginning, backs from their end: one pass, and both keep their order.
         at = count if twice < 0 else most - 1 - backs
         count, backs = count + (twice < 0), backs + (twice > 0)
         index[at], area[at], first[at], last[at] = t, twice, r0, r1
         load[r0 - y0] += c1 - c0 + 1
         load[r1 + 1 - y0] -= c1 - c0 + 1
+    # Each triangle added its width at its first row and took it off after its last: running sums give every row's.
     for row in range(1, len(load)):
         load[row] += load[row - 1]
     fronts = count, backs
@@ -63,7 +66,8 @@ def _joined(values, counts):
 def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
     """Find all pieces of a band: place, triangle (its index), area and centroid within the pixel [3, n].
 
-    Also returns the edge sum of each pixel (edge_hash.py). most: pieces there may be.
+    mesh: a `Mesh`; candidates: what `find_candidates` returns; x0, x1, y0, y1: the band, pixels; most: pieces there may
+    be. Returns int32 [n], int32 [n] and float32 [3, n]; and the edge sum of each pixel, int64 [pixels] (edge_hash.py).
     """
     index, areas, first, last, _ = candidates
     width = x1 - x0
@@ -75,6 +79,7 @@ def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
     edges, signs, sums = np.empty((3, 6)), np.empty(3, np.int64), np.zeros((width + 1, 5))
     fill_front(pixels.front, mesh, candidates, x0, x1, y0, y1)
     for k in range(len(index)):
+        # Before the first back-facing triangle: closed fronts hide most of what follows.
         if (areas[k] > 0) & (not backs):
             backs = True
             close_front(pixels)
@@ -84,6 +89,7 @@ def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
         rows = (max(first[k], y0), min(last[k], y1 - 1))
         a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
         columns = touched(mesh.x[a], mesh.x[b], mesh.x[c], x0, x1)
+        # Small triangles are the most frequent ones, and need no edges: their piece is the triangle itself.
         if (columns[0] == columns[1]) & (rows[0] == rows[1]) & _within(mesh, a, b, c, columns[0], rows[0]):
             at = (rows[0] - y0) * width + columns[0] - x0
             count = _add_inner(pieces, count, mesh, t, areas[k], columns[0], rows[0], pixels, at)
@@ -96,12 +102,17 @@ def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
 
 @inner
 def _add_inner(pieces, count, mesh, t, twice, column, row, pixels, at):
-    """Add the piece of a triangle that lies within one pixel; returns how many there are now."""
+    """Add the piece of a triangle that lies within one pixel; returns how many there are now.
+
+    pieces: place, triangle, area and centroid, of which the first `count` are written; t: the triangle; twice: its
+    doubled signed area, grid units squared; at: the pixel's place in the band.
+    """
     place, owner, coverage = pieces
     x, y, depth = mesh.x, mesh.y, mesh.inverse_depth
     a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
     pixels.edge_sum[at] += edge_sum(x, y, mesh.hashes, a, b, c, twice, (column, row, PIXEL))
     size = abs(twice) * (0.5 / (GRID * GRID))
+    # Behind a surface that fills the pixel a piece is never seen; `MARGIN` covers the rounding of both depths.
     if (size > NOTHING) & (max(depth[a], depth[b], depth[c]) + MARGIN >= pixels.front[at]):
         pixels.total[at] += size
         pixels.least[at] = min(pixels.least[at], min(depth[a], depth[b], depth[c]))
@@ -113,7 +124,11 @@ def _add_inner(pieces, count, mesh, t, twice, column, row, pixels, at):
 
 @inner
 def _add_rows(pieces, count, mesh, t, twice, edges, signs, sums, pixels, window):
-    """Add the pieces of a triangle, row by row of pixels; returns how many there are now."""
+    """Add the pieces of a triangle, row by row of pixels; returns how many there are now.
+
+    edges [3, 6], signs [3]: see `prepare_edges`; sums [width + 1, 5]: zeros, and left so; window: first and last column
+    and row of the triangle, and the band's left, right and top.
+    """
     (c0, c1), (r0, r1), (x0, x1, y0) = window
     a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
     depth = mesh.inverse_depth
@@ -132,18 +147,24 @@ def _add_rows(pieces, count, mesh, t, twice, edges, signs, sums, pixels, window)
 
 @inner
 def _add_row(pieces, count, t, spanned, sums, pixels, bounds, window):
-    """Add the pieces of a triangle in a row of pixels, from the accumulated edges; returns how many there are now."""
+    """Add the pieces of a triangle in a row of pixels, from the accumulated edges; returns how many there are now.
+
+    spanned: what `walk_row` returns; bounds: the row's depths, the plane, x of the corners, nearest and farthest depth
+    of the triangle; window: its first and last column, the band's left, and the place of the row's first pixel.
+    """
     place, owner, coverage = pieces
     begin, end, carry, moment = spanned
     level, plane, x, near, far = bounds
     c0, c1, x0, base = window
     for column in range(max(begin, c0), max(c1, end) + 1):
+        # Signed-area accumulation: what entered further left lies right of its edges in this whole pixel (carry, whose
+        # centroid is in the pixel's middle across), what enters here in a part of it (sums).
         own, at = column - x0, base + column - x0
         area, mx, my = sums[own, 0] + carry, sums[own, 1] + carry / 2, sums[own, 2] + moment
         carry, moment = carry + sums[own, 3], moment + sums[own, 4]
         if column <= end:
             sums[own, 0] = sums[own, 1] = sums[own, 2] = sums[own, 3] = sums[own, 4] = 0.0
-        elif area < NOTHING:
+        elif area < NOTHING:  # right of the last edge, and nothing is carried on: the triangle ends here
             break
         high, low = pixel_bounds(level, plane, x, column, near, far)
         if (area > NOTHING) & (high + MARGIN >= pixels.front[at]):
@@ -173,13 +194,16 @@ def _middle(a, b, c, pixel):
 
 @loop
 def sort_by_pixel(place, owner, coverage, places):
-    """Counting sort of the pieces by place, stable; also returns where each place's begin [places + 1]."""
+    """Sort pieces by place (counting sort, stable); also return where each place's begin, int64 [places + 1].
+
+    place, owner: int32 [n]; coverage: float32 [3, n].
+    """
     begin = np.zeros(places + 1, np.int64)
     for p in place:
         begin[p + 1] += 1
     for p in range(places):
         begin[p + 1] += begin[p]
-    following = begin[:-1].copy()
+    following = begin[:-1].copy()  # of each place, where its next piece goes
     sorted_owner, sorted_coverage = np.empty_like(owner), np.empty_like(coverage)
     for i in range(len(place)):
         at = following[place[i]]

@@ -19,22 +19,26 @@ TOUCH = 1e-12
 
 @inner
 def cut(pool, source, a, b, c, inside, outside):
-    """Cut a polygon by a line: what lies on its positive side goes to slot `inside`, the rest to slot `outside`.
+    """Cut a polygon by a line (Sutherland and Hodgman 1974, both sides kept).
 
-    Corners on the line belong to both. A part without an inner point gets size 0. Returns False where a part would
-    need more than `CORNERS`.
+    pool: float64 [slots, SLOT]; source, inside, outside: slots of the polygon, of its part on the line's positive side
+    and of the rest; a, b, c: the line. Corners on the line belong to both parts. A part without an inner point gets
+    size 0. Returns False, nothing written, where a part might need more than `CORNERS`.
     """
     count = int(pool[source, 0])
     to_in, to_out = 1, 1
     within, beyond = False, False
     if count + 1 >= CORNERS:
         return False
+    # Edges are walked from the last corner to the first, so that the closing edge is no special case.
     x, y = pool[source, 2 * count - 1], pool[source, 2 * count]
     along = side(x, y, a, b, c)
     for at in range(1, 2 * count + 1, 2):
         x0, y0, here = x, y, along
         x, y = pool[source, at], pool[source, at + 1]
         along = side(x, y, a, b, c)
+        # Ends strictly on opposite sides: the crossing point belongs to both parts. An end on the line (distance 0) is
+        # a corner of both already.
         if here * along < 0:
             fraction = here / (here - along)
             u, v = x0 + fraction * (x - x0), y0 + fraction * (y - y0)
@@ -47,20 +51,21 @@ def cut(pool, source, a, b, c, inside, outside):
         if along <= 0:
             pool[outside, to_out], pool[outside, to_out + 1] = x, y
             to_out, beyond = to_out + 2, beyond | (along < 0)
+    # A part all of whose corners lie on the line has no area.
     pool[inside, 0], pool[outside, 0] = to_in // 2 if within else 0, to_out // 2 if beyond else 0
     return True
 
 
 @inner
 def side(x, y, a, b, c):
-    """Compute the distance of a point from a line, positive inside; 0 on it."""
+    """Compute the distance of a point from a line, pixels, positive inside; 0 within `TOUCH` of it."""
     distance = a * x + b * y + c
     return 0.0 if abs(distance) <= TOUCH else distance
 
 
 @inner
 def reach(pool, slot, a, b, c):
-    """Compute the greatest and least distance of a polygon's corners from a line, positive inside."""
+    """Compute the greatest and least distance of a polygon's corners from a line, pixels, positive inside."""
     low, high = np.inf, -np.inf
     for at in range(1, 2 * int(pool[slot, 0]) + 1, 2):
         distance = a * pool[slot, at] + b * pool[slot, at + 1] + c
@@ -77,7 +82,11 @@ def copy(pool, source, slot):
 
 @inner
 def measure(pool, slot):
-    """Compute area and first moments (area times centroid), about the first corner so that nothing cancels."""
+    """Compute area and first moments (area times centroid) of a polygon: the shoelace formula over a fan of triangles.
+
+    Coordinates are taken from the first corner: products of small differences do not cancel, where those of
+    coordinates would for a small part far from the origin.
+    """
     x0, y0 = pool[slot, 1], pool[slot, 2]
     area = across = down = 0.0
     for k in range(3, 2 * int(pool[slot, 0]) - 1, 2):
@@ -87,6 +96,7 @@ def measure(pool, slot):
         area += twice
         across += twice * (x1 + x2)
         down += twice * (y1 + y2)
+    # A triangle's moment is its area times a third of the sum of its corners, the first of which is (0, 0) here.
     return area / 2, across / 6 + area / 2 * x0, down / 6 + area / 2 * y0
 
 
@@ -96,5 +106,5 @@ def line_through(x0, y0, x1, y1):
     dx, dy = x1 - x0, y1 - y0
     scale = 1 / np.sqrt(dx * dx + dy * dy)
     a, b = -dy * scale, dx * scale
-    # From the middle, which both ways share.
+    # From the middle, which is the same for both directions: c of the reverse edge is then the exact negative.
     return a, b, -(a * (x0 + x1) + b * (y0 + y1)) * 0.5

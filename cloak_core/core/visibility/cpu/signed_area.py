@@ -18,7 +18,9 @@ from cloak_core.core.visibility.screen import GRID
 def prepare_edges(edges, signs, mesh, corners, twice):
     """Write a triangle's edges, each from its upper end (of two the left one), and their hashes.
 
-    edges [3, 6]: x, y, x, y in pixels, change of x with y, and 1 where the triangle lies on its right, -1 on its left.
+    mesh: a `Mesh`; corners: of the triangle; twice: its doubled signed area. signs: int64 [3], each edge's hash.
+    edges: float64 [3, 6]: x, y, x, y in pixels, change of x with y, and 1 where the triangle lies on its right, -1 on
+    its left.
     """
     a, b, c = corners
     x, y = mesh.x, mesh.y
@@ -54,6 +56,7 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
         column = np.int64(np.floor(u0))
         stop = np.int64(np.ceil(u1)) - 1
         slant = (v1 - v0) / (u1 - u0) if u1 > u0 else 0.0
+        # What lies left of the window acts as if it ran along the window's left edge.
         if column < x0:
             beyond = v1 if u1 <= x0 else v0 + (x0 - u0) * slant
             part = side * abs(beyond - v0)
@@ -65,6 +68,7 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
             v0 = beyond
             column = np.int64(x0)
         begin, end = min(begin, column), max(end, min(max(stop, column), x1 - 1))
+        # Pixel by pixel along the edge, as in a digital differential analyser.
         while column < x1:
             u, v = (u1, v1) if column >= stop else (column + 1.0, v0 + (column + 1 - u0) * slant)
             _add_edge(sums, column - x0, u0 - column, v0, u - column, v, side)
@@ -95,7 +99,11 @@ def _clip_to_row(edges, k, row):
 
 @inner
 def _add_edge(sums, at, u0, v0, u1, v1, side):
-    """Add a part of an edge within one pixel."""
+    """Add a part of an edge within one pixel: area and moments of what lies right of it, by integrals over y.
+
+    With u(y) along the edge, they are those of 1 - u, of (1 - u^2) / 2 and of y (1 - u). u0, v0, u1, v1: the ends,
+    from the pixel's corner.
+    """
     part, middle = side * abs(v1 - v0), (v0 + v1) / 2
     sums[at, 0] += part * (1 - (u0 + u1) / 2)
     sums[at, 1] += part * (1 - (u0 * u0 + u0 * u1 + u1 * u1) / 3) / 2

@@ -20,13 +20,13 @@ def lab(colors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=1)
 
 
-def de2000(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+def de2000(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     """Compute CIEDE2000 between colours in CIELAB, k = 1. Symmetric; about 1 is just visible.
 
     Sharma, Wu, Dalal, "The CIEDE2000 color-difference formula" (Color Research and Application 30, 2005), by the
     numbers of whose equations the steps go.
     """
-    (l1, a1, b1), (l2, a2, b2) = np.asarray(one, np.float64).T, np.asarray(other, np.float64).T
+    (l1, a1, b1), (l2, a2, b2) = np.asarray(first, np.float64).T, np.asarray(second, np.float64).T
     mean_c = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2
     g = 0.5 * (1 - _fading(mean_c))  # (4)
     a1, a2 = (1 + g) * a1, (1 + g) * a2
@@ -53,6 +53,6 @@ def _fading(chroma: np.ndarray) -> np.ndarray:
     return np.sqrt(chroma**7 / (chroma**7 + 25.0**7))
 
 
-def mean_difference(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> float:
+def mean_difference(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> float:
     """Average CIEDE2000 between sRGB colours in [0, 1]."""
-    return float(de2000(lab(one), lab(other)).mean())
+    return float(de2000(lab(first), lab(second)).mean())

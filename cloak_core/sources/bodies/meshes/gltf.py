@@ -90,7 +90,8 @@ class Part:
     """One node's mesh: its primitives put together, and the vertices that coincide joined."""
 
     def __init__(self, document: Document, node: int) -> None:
-        self.document, self.node = document, node
+        self.document = document
+        self.node = node
         record = document.list("nodes")[node]
         mesh = document.list("meshes")[record["mesh"]]
         self.rest_weights = np.array(record.get("weights", mesh.get("weights", [])), float)

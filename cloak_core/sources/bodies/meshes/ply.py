@@ -88,7 +88,8 @@ class Reader:
     """Takes the values of one element after the other; those of an ASCII file as if they were 64-bit floats."""
 
     def __init__(self, data: bytes, start: int, order: str) -> None:
-        self.data, self.at = data, start
+        self.data = data
+        self.at = start
         if not order:
             self.data = np.fromiter(map(float, data[start:].split()), np.float64).tobytes()
             self.at = 0

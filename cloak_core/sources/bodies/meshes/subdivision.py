@@ -73,7 +73,9 @@ class Midpoints:
     """What new points are means of: edges [E, 2], and polygons by their corners where they get a centre."""
 
     def __init__(self, edges: np.ndarray, loop_total: np.ndarray | None, loop: np.ndarray) -> None:
-        self.edges, self.loop_total, self.loop = edges, loop_total, loop
+        self.edges = edges
+        self.loop_total = loop_total
+        self.loop = loop
 
 
 def split_values(values: np.ndarray, midpoints: Midpoints) -> np.ndarray:

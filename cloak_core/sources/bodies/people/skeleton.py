@@ -64,7 +64,9 @@ class Skeleton:
     """Bones in the rest pose: names, parents (-1 for the root) and heads [J, 3]; parents come before children."""
 
     def __init__(self, names: list[str], parents: list[int], heads: np.ndarray) -> None:
-        self.names, self.parents, self.heads = names, parents, heads
+        self.names = names
+        self.parents = parents
+        self.heads = heads
         self.index = {name: i for i, name in enumerate(names)}
 
     def direction(self, start: str, end: str) -> np.ndarray:
