@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from tests.sources.bodies.photographs.test_coco_reader import with_value
 
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
@@ -17,6 +16,7 @@ from cloak_core.studies.report import plots
 from cloak_core.studies.report.page import _environment
 from cloak_core.studies.report.words import duration, instead, interval, most_named, percent, short_name
 from cloak_core.studies.trained_run import History
+from tests.sources.photographs.test_coco_reader import with_value
 from tests.studies.made_evaluation import made_results, write_run
 
 HOSTILE = '<script>alert("1")</script>&'

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 import torch
-from tests.sources.bodies.photographs.made_people import annotation, photograph, standing, write_people
 
 from cloak_core.core.paint import compose
 from cloak_core.files.errors import InputError
@@ -22,6 +21,7 @@ from cloak_core.sources.photographs.views import (
     photograph_view,
     shares_of,
 )
+from tests.sources.photographs.made_people import annotation, photograph, standing, write_people
 
 pytestmark = pytest.mark.slow
 

@@ -6,11 +6,11 @@ import re
 import numpy as np
 import pytest
 from PIL import Image
-from tests.sources.bodies.photographs.made_people import SIZE, photograph, write_people
 
 from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.masks import decode_mask
 from cloak_core.sources.photographs.people import load_people
+from tests.sources.photographs.made_people import SIZE, photograph, write_people
 
 pytestmark = pytest.mark.slow
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core.core.run_config import _people, check_same
 from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.fits import fit_people, people_identity
 from cloak_core.sources.photographs.people import Person, load_people
+from tests.sources.photographs.made_people import write_people
 
 pytestmark = pytest.mark.slow
 
