@@ -37,12 +37,14 @@ def wear_and_judge(
     out: Path | None = None,
     settings: WearSettings | None = None,
     on_progress: OnProgress | None = None,
+    more: Mapping[str, object] | None = None,
 ) -> dict:
     """Dress people in each of `colors` and in the controls, and judge them.
 
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
     CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person), wear.json and, where the settings
     ask for pairs, rate.html and rate-key.csv; nothing is left of it where this fails.
+    more: what the result says besides.
     Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
@@ -56,11 +58,11 @@ def wear_and_judge(
     if out is None:
         if settings.pairs:
             raise InputError("--pairs: needs --out, the folder that the page is written to")
-        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None)
+        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | (more or {})
     if out.exists():
         raise InputError(f"{out}: exists already")
     with new_folder(out) as folder:
-        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)
+        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder) | (more or {})
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
 
