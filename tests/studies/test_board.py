@@ -14,6 +14,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.studies.card import board
 from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.board import add_cards, build_board, check_card
+from tests.schemas import validate
 from tests.studies.test_card import TINY, Glow, make_store
 
 
@@ -41,10 +42,17 @@ def changed(cards: Path, to: Path, change: str) -> Path:
 
 
 @pytest.mark.slow
-def test_cards_join_and_the_page_sorts_and_filters(cards: Path, tmp_path: Path) -> None:
-    joined = add_cards([cards / "glow", cards / "dark"], tmp_path / "board", {})
-    assert [folder.name for folder in joined] == ["glow", "dark"] and not (tmp_path / "board/glow/spent.json").exists()
-    files, ordered = build_board(tmp_path / "board")
+def test_cards_join_and_the_page_sorts_and_filters(cards: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    board_folder, named = tmp_path / "board", [str(cards / "glow"), str(cards / "dark/card.json")]
+    with pytest.raises(SystemExit, match="0"):
+        main(["leaderboard", "add", *named, "--to", str(board_folder), "--json"])
+    joined = validate("leaderboard add", capsys.readouterr().out)["added"]
+    assert joined == [str(board_folder / "glow"), str(board_folder / "dark")]
+    assert not (board_folder / "glow/spent.json").exists()
+    with pytest.raises(SystemExit, match="0"):
+        main(["leaderboard", "build", str(board_folder), "--json"])
+    assert validate("leaderboard build", capsys.readouterr().out)["cards"] == ["glow", "dark:net.onnx"]
+    files, ordered = build_board(board_folder)
     assert [card["spec"] for card in ordered] == ["glow", "dark:net.onnx"]
     text = files[0].read_text("utf-8")
     assert 'href="glow/card.html"' in text and (tmp_path / "board/glow/card.html").exists()

@@ -73,6 +73,9 @@ class Assessment:
         if self.people is not None:
             self.people = replace(self.people, people=self.people.people[: self.size.people])
         self.clothes = [read_clothes(spec) for spec in self.patterns]
+        names = [cloth.name for cloth in self.clothes]
+        if len(set(names)) < len(names):
+            raise InputError(f"--patterns: {max(names, key=names.count)} is given twice")
         self.patterns, self.left = self.patterns[: self.size.patterns], self.clothes[self.size.patterns :]
         del self.clothes[self.size.patterns :]
 
@@ -124,7 +127,7 @@ class Assessment:
         every = range(len(few))
         for _ in renderer.compose(renderer.views(every), every, CONTROLS):
             pass
-        return 1 + (time.monotonic() - started) / (max(1, len(few) * len(CONTROLS)) * pace.forward)
+        return 1 + (time.monotonic() - started) / (max(1, len(few) * len(CONTROLS)) * max(pace.forward, 1e-6))
 
     # --- what there is to do
 

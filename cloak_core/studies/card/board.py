@@ -66,13 +66,15 @@ def check_card(folder: Path, digest: str | None = None) -> dict:
     for name, version in versions.items():
         if card["versions"].get(name) != version:
             raise InputError(f"{path}: versions.{name} is {card['versions'].get(name)!r}; this version has {version}")
-    _check_counts(path, card)
     told = _digest(path, card)
     if digest is not None and told != digest:
         raise InputError(f"{path}: materials.detectors.{card['spec']} is {told[:12]}, the detector's is {digest[:12]}")
     try:
+        _check_counts(path, card)
         wrong = next(differences(card, folder), None)
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
+    except InputError:
+        raise
+    except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
         raise InputError(f"{path}: not the figures of a card ({type(error).__name__}: {error})") from None
     if wrong is not None:
         raise InputError(f"{path}: {wrong}")
