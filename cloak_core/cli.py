@@ -56,6 +56,8 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "Defend": {
         "assess": "assess:Assess",
+        "leaderboard add": "leaderboard:Add",
+        "leaderboard build": "leaderboard:Build",
         "harden": "harden:Harden",
     },
     "Wear and print": {

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
@@ -17,8 +16,10 @@ from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
+    from cloak_core.sources.photographs.people import People
+    from cloak_core.studies.card.assess import Assessment
     from cloak_core.studies.card.gate import Bound
-    from cloak_core.studies.card.protocol import Budget
+    from cloak_core.studies.card.protocol import Size
     from cloak_core.studies.store import RunStore
 
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 class Assess(Splitting, Detecting, Sharing):
     """Measure how robust detectors are, by a fixed protocol: a card for each.
 
-    A card is figures and one page that opens offline; of several detectors, a page compares them.
+    A card is figures and one page that opens offline; of several detectors, a page compares them. Counts are fixed, so
+    that cards of one size compare on any machine; how long it takes is said before it begins.
 
     What is there already is not done again: a stopped call goes on with the same command. Without any SPEC the pages
     and the leaderboard are written again from the cards in --out.
@@ -38,16 +40,21 @@ class Assess(Splitting, Detecting, Sharing):
     """Detectors, as in cloak train; a detector without gradients gets the black-box part alone."""
     out: Path
     """Folder for NAME/card.json, NAME/card.html and NAME/card.md, and card.html over all detectors."""
+    size: Literal["quick", "standard", "full"] | None = None
+    """quick: the largest cloak alone, about ten minutes where a forward and backward take 100 ms an image; standard
+    (the default): four areas and all around, about an hour; full: longer attacks, three seeds each, and many images."""
     quick: bool = False
-    """Short attacks and few images, fewer still where they do not fit into ten minutes (default: about an hour)."""
+    """--size quick."""
     full: bool = False
-    """Long attacks, three seeds each, and many images."""
+    """--size full."""
     minutes: float | None = None
-    """Time for each card: steps and images follow the clock, and intervals say so (--quick: 10; else: any)."""
+    """Take the largest size that fits into so many minutes on this machine, for each card."""
     people: str | None = None
-    """People in photographs, as in cloak wear: they wear the largest cloak and the patterns, and come first."""
+    """People in photographs, as in cloak wear: they wear the largest cloak, another detector's and the patterns, and
+    come first."""
     patterns: tuple[str, ...] = ()
-    """Published patterns to wear as cloth: FILE.png, 0.5 m wide, or FILE.png@tile=METRES."""
+    """Published patterns to wear: FILE.png, as cloth 0.5 m wide, FILE.png@tile=METRES, FILE.png@patch=METRES, or a
+    folder with patterns.toml."""
     zoo: UseAppendAction[tuple[str, ...]] = ()
     """Entries of the zoo to show it (default: all that these bodies can wear)."""
     seed: int = 0
@@ -64,11 +71,10 @@ class Assess(Splitting, Detecting, Sharing):
         from cloak_core.detectors.naming import full_spec
 
         self.specs = tuple(map(full_spec, self.specs))
-        self._budget()
+        self._sizes()
         bounds = self._bounds()
         self.sharing.spread(self._parts(), self.compute)
         cards = self.work() if self.specs else {}
-        # Not before: `work` counts the time that it takes to load all this.
         from cloak_core.studies.card.gate import check, write_junit
         from cloak_core.studies.card.leaderboard import gather, write_leaderboard
         from cloak_core.studies.card.page import write_card, write_comparison
@@ -107,21 +113,25 @@ class Assess(Splitting, Detecting, Sharing):
         alone = self.part_of(leaderboard=None, gate=None, junit=None)
         return [(spec, replace(alone, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
 
-    def _budget(self) -> Budget:
-        from cloak_core.studies.card.protocol import DEFAULT, FULL, QUICK
+    def _sizes(self) -> list[Size]:
+        """List the sizes that this call may take, the largest first; one where no time is given."""
+        from cloak_core.studies.card.protocol import SIZES
 
-        if self.quick and self.full:
-            raise InputError("--quick, --full: one of them")
-        if self.minutes is not None and not self.minutes > 0:
+        names = [self.size] * (self.size is not None) + ["quick"] * self.quick + ["full"] * self.full
+        if len(names) + (self.minutes is not None) > 1:
+            raise InputError("--size, --quick, --full, --minutes: one of them")
+        if self.minutes is None:
+            return [SIZES[names[0] if names else "standard"]]
+        if not self.minutes > 0:
             raise InputError(f"--minutes {self.minutes:g}: some time is needed")
-        budget = QUICK if self.quick else FULL if self.full else DEFAULT
-        return budget if self.minutes is None else replace(budget, minutes=self.minutes)
+        return list(SIZES.values())[::-1]
 
     def _patterns(self) -> tuple[str, ...]:
         """List the patterns with their widths. InputError: one cannot be read."""
         from cloak_core.studies.wearing.clothes import cloth_spec, read_clothes
+        from cloak_core.studies.wearing.patterns import pattern_specs
 
-        patterns = tuple(map(cloth_spec, self.patterns))
+        patterns = tuple(cloth_spec(spec) for named in self.patterns for spec in pattern_specs(named))
         for spec in patterns:
             read_clothes(spec)
         return patterns
@@ -129,30 +139,46 @@ class Assess(Splitting, Detecting, Sharing):
     def work(self) -> dict[str, dict]:
         """Make a card for each detector, by its folder's name."""
         from cloak_core.sources.photographs.people import load_people
-        from cloak_core.studies.card.assess import Assessment
         from cloak_core.studies.card.leaderboard import folder_names
 
-        began = time.monotonic()
         self.prepare()
-        budget, specs, patterns = self._budget(), tuple(dict.fromkeys(self.specs)), self._patterns()
+        specs, patterns = tuple(dict.fromkeys(self.specs)), self._patterns()
         people = None if self.people is None else load_people(self.people, self.images)
         names, cards = folder_names(specs), {}
         for spec, detector in self.by_spec(specs).items():
-            err.print(f"assessing {spec}")
-            store = self._store(spec, detector, budget)
-            folder, zoo = self.out / names[spec], self.zoo or None
-            assessment = Assessment(store, budget, folder, zoo, WorkProgress(), people, patterns, began)
+            assessment = self._choose(spec, detector, self.out / names[spec], people, patterns)
             cards[names[spec]] = assessment.run()
-            began = time.monotonic()
         return cards
 
-    def _store(self, spec: str, detector: Detector, budget: Budget) -> RunStore:
+    def _choose(
+        self, spec: str, detector: Detector, folder: Path, people: People | None, patterns: tuple[str, ...]
+    ) -> Assessment:
+        """Take the largest size that fits into the time, if one is given, and say how long it will take.
+
+        InputError: not even the smallest fits.
+        """
+        from cloak_core.studies.card.assess import Assessment
+        from cloak_core.studies.report.words import short_name
+
+        pace = None
+        for size in self._sizes():
+            store = self._store(spec, detector, size)
+            assessment = Assessment(store, size, folder, self.zoo or None, WorkProgress(), people, patterns)
+            seconds, pace = assessment.seconds_left(pace)
+            clocked = f"{1000 * pace.gradient:.0f} ms a forward and backward, {1000 * pace.forward:.0f} ms a forward"
+            about = f"about {max(1, round(seconds / 60))} min on this machine (measured: {clocked})"
+            if self.minutes is None or seconds <= 60 * self.minutes:
+                err.print(f"assessing {short_name(spec)}, size {size.name}: {about}")
+                return assessment
+        raise InputError(f"--minutes {self.minutes:g}: {spec}: size {size.name}, the smallest, takes {about}")
+
+    def _store(self, spec: str, detector: Detector, size: Size) -> RunStore:
         from cloak_core.core.evaluation.settings import StoreOptions
         from cloak_core.studies.store import RunStore
 
         options = StoreOptions(
             out=self.out,
-            seeds=budget.seeds,
+            seeds=size.seeds,
             seed=self.seed,
             device=self.compute.device,
             command=command_line(),

@@ -28,7 +28,8 @@ class Wear(Detecting):
 
     colors: Positional[tuple[str, ...]]
     """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres; auto: the width that
-    hides best), FILE.png@patch=0.3 (a patch on the chest). '*.png@tile=0.5' is every such file. print:balls,
+    hides best), FILE.png@patch=0.3 (a patch on the chest). '*.png@tile=0.5' is every such file; a folder with
+    patterns.toml is every pattern that it lists. print:balls,
     ellipses, dots, checks and stripes are plain prints to compare with; @flipped at the end wears a cloth or picture
     upside down."""
     people: str
@@ -78,7 +79,11 @@ class Wear(Detecting):
 
 
 def expanded(color: str) -> list[str]:
-    """List the pictures that *.png@tile=0.5 names, which no shell expands; any other text as it is."""
+    """List the pictures that a pattern folder, or *.png@tile=0.5, names; any other text as it is."""
+    from cloak_core.studies.wearing.patterns import pattern_specs
+
+    if (specs := pattern_specs(color)) != [color]:
+        return specs
     pattern, _, form = color.rpartition("@")
     found = [] if Path(pattern).exists() else sorted(glob.glob(pattern))
     return [f"{file}@{form}" for file in found] or [color]

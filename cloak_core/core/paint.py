@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float32, Int64, Integer, UInt8
+from jaxtyping import Bool, Float32, Int64, Integer, UInt8
 from torch import Tensor
 from torch.autograd.graph import increment_version
 
@@ -138,6 +138,19 @@ def true_boxes(views: Sequence[BakedView], shifts: Integer[Tensor, "B 2"] | None
         boxes = boxes + shifts.to(device, torch.float32).repeat(1, 2)
     limits = torch.tensor([[v.width, v.height, v.width, v.height] for v in views], dtype=torch.float32).to(device)
     return torch.minimum(boxes.clamp(min=0), limits)
+
+
+def body_masks(views: Sequence[BakedView], shifts: Integer[Tensor, "B 2"] | None = None) -> Bool[Tensor, "B H W"]:
+    """Mark the pixels that each body covers by half or more, shifted like the body; what leaves the image is lost."""
+    device, (height, width) = views[0].pixels.device, (views[0].height, views[0].width)
+    masks = torch.zeros(len(views), height, width, dtype=torch.bool, device=device)
+    for k, view in enumerate(views):
+        pixels = view.pixels[view.coverage >= 0.5].long()
+        right, down = (0, 0) if shifts is None else shifts[k].tolist()
+        x, y = pixels % width + right, pixels // width + down
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        masks[k, y[inside], x[inside]] = True
+    return masks
 
 
 class _Paint(torch.autograd.Function):

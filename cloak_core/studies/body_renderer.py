@@ -18,7 +18,7 @@ from cloak_core.core.detector.outcomes import OnBody, on_body
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.controls import LOGO, control_colors, random_colors
 from cloak_core.core.evaluation.renderer import Indices
-from cloak_core.core.paint import Canvas, compose, true_boxes
+from cloak_core.core.paint import Canvas, body_masks, compose, true_boxes
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.sources.bodies.view_cache import ViewCache
@@ -80,8 +80,9 @@ class BodyRenderer:
         return detections
 
     def on_person(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> OnBody:
-        """Find the best scores among boxes that overlap the rendered body with IoU >= 0.5."""
-        return on_body(detections, self.boxes(views, indices), within=math.inf)
+        """Find the best scores: of persons that overlap the body with IoU >= 0.5, of other classes anywhere on it."""
+        masks = None if detections.other is None else body_masks(views, self.shifts(indices))
+        return on_body(detections, self.boxes(views, indices), within=math.inf, masks=masks)
 
     def before_grey(
         self, view: BakedView, index: int, control: str

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
 import pandas as pd
 
 from cloak_core.core.detector import THRESHOLD
@@ -20,11 +19,10 @@ from cloak_core.core.evaluation.statistics import (
     by_training,
     digits,
     found_rate,
-    hidden,
     hidden_rate,
     operating_point,
     outcome_record,
-    rate,
+    published_rates,
     rate_record,
     share,
     threshold_curve,
@@ -46,9 +44,10 @@ RECALL_BY = {
 
 
 def success_rates(rows: pd.DataFrame) -> dict:
-    """Compute success at 0.6 and (`_own`) at the detector's own threshold, each with its interval."""
+    """Compute success at 0.6, at the detector's own threshold (`_own`), at 0.5 (`_05`), and mASR, with intervals."""
     own = hidden_rate(rows, operating_point(rows))
-    return rate_record("success", hidden_rate(rows), 4) | rate_record("success_own", own, 4)
+    record = rate_record("success", hidden_rate(rows), 4) | rate_record("success_own", own, 4)
+    return record | published_rates(rows, 4)
 
 
 def recall_rates(rows: pd.DataFrame) -> dict:
@@ -60,12 +59,11 @@ def recall_rates(rows: pd.DataFrame) -> dict:
 def attack_record(results: Results, spec: str) -> dict:
     """Count what a cloak does to a detector, with own clothing and random colours beside it.
 
-    success, success_own: people hidden at 0.6 and at the detector's own threshold; masr: mean success over the
-    thresholds 0.1 to 0.9; by_threshold; CONTROL, CONTROL_own; ap50, ap50_95; renamed, gone, named (`outcome_record`).
+    success, success_own, success_05, masr: see `success_rates`; by_threshold;
+    CONTROL, CONTROL_own; ap50, ap50_95; renamed, gone, named (`outcome_record`).
     """
     rows = results.rows(spec, LOGO)
-    over_thresholds = rate(rows, np.mean([hidden(rows, t) for t in THRESHOLDS], axis=0))
-    record = success_rates(rows) | rate_record("masr", over_thresholds, 4)
+    record = success_rates(rows)
     record["by_threshold"] = {f"{t:g}": digits(x) for t, x in zip(THRESHOLDS, threshold_curve(rows), strict=True)}
     for control in results.controls[1:]:
         other = results.rows(spec, control)

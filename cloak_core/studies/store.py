@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from jaxtyping import Float32, Int64
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.evaluate import measure_frozen
 from cloak_core.core.evaluation.controls import LOGO, NATURAL, STANDARD
-from cloak_core.core.evaluation.measure import OnProgress
+from cloak_core.core.evaluation.measure import OnProgress, kept_frozen, measure
 from cloak_core.core.evaluation.renderer import EvaluationRenderer
 from cloak_core.core.evaluation.results import Results, pool, read_results
 from cloak_core.core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings
@@ -36,10 +36,10 @@ from cloak_core.studies.data_split import DataSplit, backgrounds_record, bodies_
 from cloak_core.studies.evaluate import make_renderer
 from cloak_core.studies.printed_cloth import PrintedCloth
 from cloak_core.studies.training_store import Trained, Training, TrainingStore, content_key
-from cloak_core.studies.wearing.clothes import clothes_of
+from cloak_core.studies.wearing.clothes import Clothes, clothes_of, content_of
 from cloak_core.studies.wearing.renderer import PeopleRenderer
 
-MEASUREMENT_VERSION = 3
+MEASUREMENT_VERSION = 4
 """Raise it by one when the same colours and settings give other scores or boxes than before: after a change of the
 drawn images, rendering, detectors, or of what is kept of their answers."""
 CONTROLS = (*STANDARD, *NATURAL)
@@ -227,15 +227,41 @@ class RunStore(TrainingStore):
             "backgrounds": backgrounds_record(self.split.unseen_backgrounds),
             "measurement": MEASUREMENT_VERSION,
         }
-        folder = self.out / "evaluations" / content_key(record | more, self.options.device)
+        shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
+        detectors = {spec: self.split.detectors[spec] for spec in specs}
+        look = lambda: measure_frozen(make(), detectors, settings, self.on_images)[0]
+        return self._kept(record | more, shown | more, look)
+
+    def measure_people(self, clothes: Sequence[Clothes], people: People, settings: WearSettings) -> Results:
+        """Measure what all detectors say of people in photographs in these clothes and the controls, or find it."""
+        record = {
+            "settings": asdict(settings),
+            "clothes": {one.name: content_of(one) for one in clothes},
+            "people": people_identity(people),
+            "detectors": [[spec, self._detector_records[spec]] for spec in self.specs],
+            "operating_points": [self.split.detectors[spec].operating_point for spec in self.specs],
+            "measurement": MEASUREMENT_VERSION,
+        }
+
+        def look() -> Results:
+            device = self.split.detectors[self.specs[0]].device
+            renderer = PeopleRenderer(fit_people(people), clothes, self.split.unseen_backgrounds, settings, device)
+            told = {"batch": settings.batch, "on_progress": self.on_images}
+            with kept_frozen(self.split.detectors):
+                return measure(renderer, self.split.detectors, tuple(renderer.clothes), (), **told)
+
+        shown = {"run": "people", "settings": asdict(settings), "clothes": list(record["clothes"])}
+        return self._kept(record, shown, look)
+
+    def _kept(self, record: Mapping[str, object], shown: Mapping[str, object], look: Callable[[], Results]) -> Results:
+        """Measure once: results are found again by the content of `record`; `shown` is kept beside them for people."""
+        folder = self.out / "evaluations" / content_key(record, self.options.device)
         with self.locked(folder):
             if not (folder / "scores.npz").exists():
-                self.tell(f"evaluating {trained.folder.name} as {folder.name}")
-                detectors = {spec: self.split.detectors[spec] for spec in specs}
-                results, _ = measure_frozen(make(), detectors, settings, self.on_images)
-                shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
+                self.tell(f"evaluating {shown['run']} as {folder.name}")
+                results = look()
                 with new_folder(folder) as temporary:
-                    write_json(temporary / "config.json", shown | more)
+                    write_json(temporary / "config.json", dict(shown))
                     results.save(temporary / "scores.npz")
         return read_results(folder / "scores.npz")
 

@@ -36,6 +36,7 @@ REDUCED = {
 LONG = {"assess", "demo", "harden", "reproduce", "transfer"}
 NOT_RUN = {
     "minutes of training at the least": lambda c: c[0] in LONG,
+    "needs cards, and is in tests/studies": lambda c: c[0] == "leaderboard",
     "measures for minutes": lambda c: c[0] == "bench",
     "samples every pose, distance and background": lambda c: c[:2] == ["detectors", "check"] and "--scene" in c,
     "needs a cluster, and is in tests/jobs": lambda c: "--ray" in c,
@@ -220,7 +221,7 @@ PRINTED = [
     "film RUN --scene UNSEEN --out film.gif",
     "judge PHOTOS --detector builtin",
 ]
-ELSEWHERE = {"assess", "harden", "transfer", "calibrate", "look", "wear"}
+ELSEWHERE = {"assess", "leaderboard add", "leaderboard build", "harden", "transfer", "calibrate", "look", "wear"}
 """Too long here; held against their schemas in tests/studies, tests/commands and tests/products."""
 NOT_HELD = {"demo", "reproduce", "scene import", "scene import-smpl", "scene import-anny", "zoo add", "remote"}
 """Their schemas are read by people alone, like those of what measures (bench ...)."""

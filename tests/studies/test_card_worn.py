@@ -1,20 +1,22 @@
 """What a card lets people wear beside trained cloaks: published patterns, on renders and in photographs."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from cloak_core.commands.wear import expanded
 from cloak_core.core.cloth import cloth_coordinates
-from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.people import People, Person
-from cloak_core.studies.card import assess
+from cloak_core.sources.photographs.people import People, Person, load_people
 from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.cloaked import cloth_colors
+from cloak_core.studies.wearing.clothes import read_clothes
+from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
+from tests.sources.photographs.made_people import write_people
 from tests.studies.test_card import TINY, Glow, make_store
 
 
@@ -28,41 +30,85 @@ def test_a_picture_repeats_as_cloth() -> None:
 
 
 @pytest.mark.slow
-def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(tmp_path: Path) -> None:
     Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
-    spec, worn = f"{tmp_path}/white.png@tile=0.5", []
-
-    def judge(clothes: list, people: People, detectors: dict, backgrounds: object, settings: WearSettings) -> dict:
-        assert not settings.bare, "false alarms are counted elsewhere"
-        worn.extend(one.name for one in clothes)
-        return {"people": len(people), "left_out": {}, "detectors": {name: {"clothing": {}} for name in detectors}}
-
-    monkeypatch.setattr(assess, "wear_and_judge", judge)
-    store = make_store(tmp_path, Glow("glow"))
-    one = Assessment(store, TINY, tmp_path / "glow", [], None, People((), {}), (spec,))
-    row = one._pattern(spec, 1.0)
+    specs = tuple(f"{tmp_path}/white.png@{form}" for form in ("tile=0.5", "patch=0.3", "tile=0.2"))
+    people = load_people(str(write_people(tmp_path / "people")))
+    one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people, specs)
+    assert [cloth.name for cloth in one.left] == ["white@tile=0.2"], "the size has two"
+    assert one._pattern(specs[1], one.clothes[1]) is None, "a patch is worn in photographs alone"
+    row = one._pattern(specs[0], one.clothes[0])
     assert row["name"] == "white@tile=0.5" and row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
+    assert row["state"] == "measured"
     faces = one._areas[-1]
-    one.shown["area 76%"] = (store.untrained(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")), (0.0,), {})
-    told = one._photographs(1.0)
-    assert worn == ["made against it", "white@tile=0.5"] and told["rows"].keys() == {"clothing"}
+    one.shown["area 76%"] = (
+        one.store.untrained(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")),
+        (0.0,),
+        {},
+    )
+    strange = {"name": "builtin-sample", "trained_against_it": False, "success": 0.0, "success_own": 0.0}
+    card = {"white_box": [{"state": "at least"}], "black_box": {"zoo": [strange]}}
+    told = one._photographs(card)
+    worn = ["made against it", "zoo:builtin-sample", "white@tile=0.5", "white@patch=0.3"]
+    assert list(told["rows"])[:4] == worn and told["people"] == len(people)
+    assert [told["rows"][name]["state"] for name in worn] == ["at least", "measured", "measured", "measured"]
+    assert told["rows"]["clothing"]["success_05"] is not None and told["rows"]["clothing"]["masr"] is not None
+    one.store.split.detectors["glow"].forward = lambda _: pytest.fail("looked again")
+    assert one._photographs(card) == told, "what is finished is kept"
 
 
-@pytest.mark.slow
-def test_people_cost_what_dressing_them_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now, calls = [0.0], []
-    monkeypatch.setattr(assess, "time", SimpleNamespace(monotonic=lambda: now[0]))
-
-    def judge(clothes: list, people: People, *_: object, **__: object) -> dict:
-        calls.append(len(people))
-        now[0] += 16.0 if len(calls) > 1 else 99.0  # the first time compiles
-        return {}
-
-    monkeypatch.setattr(assess, "wear_and_judge", judge)
+def test_a_size_takes_the_first_people_of_a_file(tmp_path: Path) -> None:
     people = People((object.__new__(Person),) * 30, {})
     one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people)
-    assert one._worn_image(0.5) == 4, "16 s for two people in four garments: 2 s each"
-    assert calls == [2, 2] and one._worn_image(4.0) == 1, "the detector is slower"
-    assert one._costs(4.0)["people"] == (0.0, 4 * 30 * (3 + 2))
+    assert len(one.people) == TINY.people == 3
+    assert one.costs(4.0)["people"] == (0.0, 4 * 3 * (3 + 3))
+
+
+TABLE = """
+[tcega]
+file = "white.png"
+put_on = "cloth"
+metres = 0.25
+trained_on = "YOLOv2"
+source = "somewhere"
+licence = "MIT"
+
+[other]
+file = "white.png"
+put_on = "patch"
+metres = 0.3
+trained_on = "nothing"
+source = "here"
+licence = "CC0-1.0"
+"""
+
+
+def test_a_pattern_folder_says_how_each_picture_is_put_on(tmp_path: Path) -> None:
+    Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    (tmp_path / "patterns.toml").write_text(TABLE)
+    specs = [f"{tmp_path}/white.png@tile=0.25", f"{tmp_path}/white.png@patch=0.3"]
+    assert (
+        pattern_specs(str(tmp_path)) == pattern_specs(f"{tmp_path}/patterns.toml") == expanded(str(tmp_path)) == specs
+    )
+    assert pattern_specs("white.png@tile=0.5") == ["white.png@tile=0.5"]
+    assert [read_clothes(spec).is_patch for spec in specs] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('file = "white.png"\nput_on = "cloth"', 'file = "gone.png"\nput_on = "cloth"', "file 'gone.png' is missing"),
+        ('file = "white.png"\nput_on = "cloth"', 'file = "../x.png"\nput_on = "cloth"', "lies outside its folder"),
+        ('put_on = "cloth"', 'put_on = "hat"', "put_on is 'hat', neither cloth nor patch"),
+        ("metres = 0.25", "metres = 9", "metres is 9, not between 0.01 and 5"),
+        ("metres = 0.25", "metres = true", "metres is True"),
+        ('licence = "MIT"', "", r"\[tcega\] lacks licence"),
+        ('licence = "MIT"', 'licence = "MIT"\nsize = 3', r"\[tcega\] has size, which is none of"),
+        ('source = "somewhere"', "source = 3", "source is 3, not text"),
+    ],
+)
+def test_what_is_wrong_with_a_pattern_folder_is_named(old: str, new: str, said: str, tmp_path: Path) -> None:
+    Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    (tmp_path / "patterns.toml").write_text(TABLE.replace(old, new, 1))
+    with pytest.raises(InputError, match=rf"patterns.toml: .*{said}"):
+        read_patterns(tmp_path)

@@ -43,18 +43,18 @@ def test_each_broken_bound_is_named(tmp_path: Path) -> None:
     assert len(suite.findall("testcase/failure")) == 3
 
 
-def test_a_cloak_that_was_trained_too_briefly_keeps_no_bound(tmp_path: Path) -> None:
+def test_a_figure_that_is_at_least_so_much_keeps_no_upper_bound(tmp_path: Path) -> None:
     (tmp_path / "gate.toml").write_text(
         "[min]\naround.success = 0.1\n[max]\nwhite_box.5.success_own = 0.3\ncircle = 0.3\n"
     )
-    rows = [{"asked": 0.05, "success_own": 0.1, "steps": 12}]
-    card = CARD | {"white_box": rows, "circle": 0.2, "around": {"success": 0.2, "steps": 299}, "counts": {"steps": 150}}
+    rows = [{"asked": 0.05, "success_own": 0.1, "state": "at least"}]
+    card = CARD | {"white_box": rows, "circle": 0.2, "around": {"success": 0.2, "state": "measured"}}
     said = [words for words in gate.check(card, gate.read_gate(tmp_path / "gate.toml")).values() if words]
-    few = "is 0.1 after 12 updates of the cloak, too few to say"
-    assert said == [f"builtin: white_box.5.success_own {few}; the gate asks for white_box.5.success_own <= 0.3"]
-    card["around"]["steps"] = 149
+    asked = "the gate asks for white_box.5.success_own <= 0.3"
+    assert said == [f"builtin: white_box.5.success_own is at least 0.1; {asked}"]
+    card["around"]["state"] = "at least"
     said = [words for words in gate.check(card, gate.read_gate(tmp_path / "gate.toml")).values() if words]
-    assert len(said) == 2 and "circle is 0.2 after 149 updates" in said[1]
+    assert len(said) == 2 and "circle is at least 0.2" in said[1]
 
 
 @pytest.mark.parametrize(

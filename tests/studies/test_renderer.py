@@ -54,18 +54,20 @@ class Photographs:
 
 
 class SeesBright(Detector):
-    """Reports a small box on whoever is bright, a dog around everyone, and a passer-by on the right."""
+    """Reports a small box on whoever is bright, a dog around others (or everyone), and a passer-by on the right."""
 
     class_names = ("person", "cat", "dog")
 
-    def __init__(self) -> None:
+    def __init__(self, dog_always: bool = False) -> None:
         super().__init__("bright", "bright")
+        self.dog_always = dog_always
 
     def detect(self, images: Tensor) -> Detections:
         person, count = images.mean((1, 2, 3)), len(images)
         boxes = torch.tensor([[10.0, 10, 16, 16], [4, 4, 28, 28], [29, 0, 32, 32]]).repeat(count, 1, 1)
         scores, other = torch.zeros(count, 3), torch.zeros(count, 3)
-        scores[:, 0], other[:, 1], scores[:, 2] = person, 0.7, 0.9
+        scores[:, 0], scores[:, 2] = person, 0.9
+        other[:, 1] = 0.7 if self.dog_always else torch.where(person < 0.5, 0.7, 0.0)
         return Detections(boxes, scores, other=other, other_class=torch.tensor([[1, 2, 1]]).repeat(count, 1))
 
 
@@ -84,6 +86,9 @@ def test_photographs_are_evaluated_and_reported(tmp_path: Path) -> None:
     # The box is far smaller than the person: it counts as found because it lies within the person.
     assert told["clothing"]["success_iou"] == 0
     assert told["logo"]["renamed"] == 1 and told["logo"]["named"] == {"dog": 6} and told["clothing"]["renamed"] == 0
+    always = evaluate_renderer(renderer, {"bright": SeesBright(dog_always=True)}, SETTINGS, circumstances)
+    told = always["detectors"]["bright"]["logo"]
+    assert (told["renamed"], told["gone"], told["named_own"]) == (0, 1, {}), "the dog stood there in their own clothes"
     assert summary["inputs"].keys() == {"photographs", "detector_hashes"}
     stored = read_evaluation(tmp_path / FOLDER)
     assert stored.results.trials["photograph"].tolist() == list("uvwxyz")

@@ -14,7 +14,7 @@ from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.detector.scoring import box_iou
 
 WITHIN = 0.5
-"""A person box counts as found where at least this share of its own area lies within the true person."""
+"""A box is on the true person where at least this share of its own area lies within them."""
 
 
 NEAR = 0.3
@@ -35,9 +35,11 @@ class OnBody(NamedTuple):
     person: Float[Tensor, B]
     """Of person boxes that fit the body or lie within it."""
     other: Float[Tensor, B] | None
-    """Of any other class whose box fits the body; None where the detector tells of no other class."""
+    """Of any other class whose box is on the body; None where the detector tells of no other class."""
     other_class: Int[Tensor, B] | None
     """Which class that is: index among `class_names`; meaningless where `other` is 0."""
+    on: Bool[Tensor, "B N"] | None = None
+    """Which boxes are on the body, for other classes."""
 
 
 def best_other(classes: Float[Tensor, "B N K"], person: int, first: int = 0) -> BestOther:
@@ -102,21 +104,51 @@ def share_within_mask(boxes: Float[Tensor, "B N 4"], masks: Bool[Tensor, "B H W"
     return torch.where(own > 0, covered.clamp(min=0) / own.clamp(min=1), 0.0).to(boxes.dtype)
 
 
-def on_body(detections: Detections, bodies: Float[Tensor, "B 4"], iou: float = IOU, within: float = WITHIN) -> OnBody:
+def on_body(
+    detections: Detections,
+    bodies: Float[Tensor, "B 4"],
+    iou: float = IOU,
+    within: float = WITHIN,
+    masks: Bool[Tensor, "B H W"] | None = None,
+) -> OnBody:
     """Find the best person score and the best other class on each image's true body.
 
-    A person counts where `found_as_person` says so; another class where its box overlaps the body's with at least
-    `iou`. At threshold t the outcome is "person" where `person` > t, else "renamed" where `other` > t, else "gone".
+    A person counts where `found_as_person` says so by `iou` and `within`. Another class counts whatever its size: where
+    its box overlaps the body's with at least `IOU`, or lies by `WITHIN` of its own area on the body (on `masks`, where
+    there are any). At threshold t the outcome is "person" where `person` > t, else "renamed" where `other` > t, else
+    "gone".
     """
     is_person = found_as_person(detections.boxes, bodies, iou, within)
     person, _ = _best(torch.where(is_person, detections.scores, 0.0))
     if detections.other is None:
         return OnBody(person, None, None)
-    fits = box_iou(detections.boxes, bodies[:, None].to(detections.boxes)) >= iou
-    other, row = _best(torch.where(fits, detections.other, 0.0))
+    on = found_as_person(detections.boxes, bodies, masks=masks)
+    return OnBody(person, *_best_class(detections, on), on)
+
+
+def classes_above(best: OnBody, detections: Detections, threshold: float) -> list[Int[Tensor, " k"]] | None:
+    """List the other classes that are reported on each of B bodies above `threshold`; None where none is told of."""
+    if best.on is None:
+        return None
+    reported = best.on & (detections.other > threshold)
+    return [numbers[row].unique() for numbers, row in zip(detections.other_class, reported, strict=True)]
+
+
+def without_classes(best: OnBody, detections: Detections, own: Sequence[Int[Tensor, " k"]] | None) -> OnBody:
+    """Leave out, for each body, classes that were reported on it before: a bag that she carries is no new name."""
+    if best.on is None or own is None:
+        return best
+    known = [torch.isin(numbers, before) for numbers, before in zip(detections.other_class, own, strict=True)]
+    on = best.on & ~torch.stack(known)
+    return OnBody(best.person, *_best_class(detections, on), on)
+
+
+def _best_class(detections: Detections, on: Bool[Tensor, "B N"]) -> tuple[Float[Tensor, B], Int[Tensor, B]]:
+    """Find the best other class among these boxes: its score, and its number."""
+    other, row = _best(torch.where(on, detections.other, 0.0))
     numbers = detections.other_class
     number = numbers.gather(1, row[:, None])[:, 0] if numbers.shape[1] else numbers.new_zeros(len(numbers))
-    return OnBody(person, other, number)
+    return other, number
 
 
 def as_anything(detections: Detections, bodies: Float[Tensor, "B 4"]) -> Detections:

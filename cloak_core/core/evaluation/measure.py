@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from cloak_core.core.detector import IOU
-from cloak_core.core.detector.outcomes import OnBody, class_name
+from cloak_core.core.detector import IOU, THRESHOLD
+from cloak_core.core.detector.outcomes import OnBody, class_name, classes_above, without_classes
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.core.detector.scoring import box_iou, max_person_score, person_boxes
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
@@ -113,22 +113,29 @@ def _judge_trials(
     progress: Progress,
     on_images: OnImages | None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Float32[np.ndarray, "N 4"]]:
-    """Judge all trials, `size` images at once: scores [D, C, N] by column of the results, found boxes, true boxes."""
+    """Judge all trials, `size` images at once: scores [D, C, N] by column of the results, found boxes, true boxes.
+
+    Own clothing comes first: another class that is reported there already is nothing that a cloak brought.
+    """
     count = len(renderer.trials)
     shape = len(detectors), len(controls), count
     scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
     scores["other_name"] = np.full(shape, "", object)
     true_boxes = np.zeros((count, 4), np.float32)
     box_rows = []
+    order = sorted(range(len(controls)), key=lambda c: controls[c] != CLOTHING)
     for batch in batches(np.arange(count), size):
         views = renderer.views(batch)
         true = renderer.boxes(views, batch)
         true_boxes[batch] = true.cpu().numpy()
-        for c, images in enumerate(renderer.compose(views, batch, controls)):
+        own: dict[int, list[Tensor] | None] = {}
+        for c, images in zip(order, renderer.compose(views, batch, [controls[c] for c in order]), strict=True):
             before = len(box_rows)
             for d, detector in enumerate(detectors):
                 detections = renderer.about_person(detector(images), views, batch)
-                best = renderer.on_person(detections, views, batch)
+                best = without_classes(renderer.on_person(detections, views, batch), detections, own.get(d))
+                if controls[c] == CLOTHING:
+                    own[d] = classes_above(best, detections, min(float(detector.operating_point), THRESHOLD))
                 for name, values in image_scores(detector, detections, best).items():
                     scores[name][d, c, batch] = values
                 box_rows += _boxes(d, c, batch, detections, true.cpu())

@@ -45,8 +45,9 @@ class Results:
     order of measuring), image (its number), the columns of the trials, body (its name, None where absent), score (best
     person score anywhere in the image), score_on (best person score among boxes that overlap the body with IoU >= 0.5),
     clean (score of the same image under the body's own clothing), other and other_name (best score of another class
-    that overlaps the body, and that class; nan and "" where the detector does not tell), operating_point (the
-    detector's own threshold; nan where unknown). Bare backgrounds are rows of the control `NOBODY`, without pose.
+    on the body that was not there in own clothing, and that class; nan and "" where the detector does not tell),
+    operating_point (the detector's own threshold; nan where unknown). Bare backgrounds are rows of the control
+    `NOBODY`, without pose.
 
     `boxes`: person boxes after non-maximum suppression, an image's together, best first: training, detector, control,
     image, score, hit (the best one that overlaps the body with IoU >= 0.5), iou (nan in files of old versions), and

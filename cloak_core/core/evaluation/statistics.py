@@ -20,6 +20,8 @@ from cloak_core.core.evaluation.intervals import RESAMPLES, Rate, clustered_rate
 from cloak_core.core.evaluation.precision import OVERLAPS, average_precision
 from cloak_core.core.evaluation.results import NOBODY, Results
 
+HALF = 0.5
+"""The threshold that most of the literature counts at."""
 THRESHOLDS = tuple(round(0.1 * k, 1) for k in range(1, 10))
 CLUSTERS = (("person", "pose"), ("photograph", "background"), ("training",))
 """Columns of what images share; those with the same value succeed and fail together. Of each group, the first column
@@ -116,6 +118,7 @@ def success_record(
     """Count one S of contracts C6 and C8, over rows of one detector and control.
 
     `success`: no person box above the threshold anywhere; `success_own`: none above the detector's own threshold;
+    `success_05`: none above 0.5; `masr`: mean success over the thresholds 0.1 to 0.9;
     `success_iou`: none on the body; `conditional`: success where the same image with the body's own clothing is
     detected, null where none is (`n_conditional` images are); `ap50` and `ap50_95`: `average_precision` of these
     images. `renamed`, `gone`, `named`: see `outcome_record`. `success_own` is null where that threshold is unknown.
@@ -127,6 +130,7 @@ def success_record(
     return {
         **rate_record("success", success),
         **rate_record("success_own", rate(known, hidden(known, point or 0.0), resamples=resamples)),
+        **published_rates(rows, resamples=resamples),
         **rate_record("success_iou", rate(rows, hidden(rows, threshold, "score_on"), resamples=resamples)),
         **rate_record("conditional", conditional),
         "n": success.n,
@@ -136,6 +140,14 @@ def success_record(
         "ap50_95": finite(average_precision(results, rows, OVERLAPS)),
         **outcome_record(rows, threshold),
     }
+
+
+def published_rates(rows: pd.DataFrame, places: int = 6, resamples: int = RESAMPLES) -> dict:
+    """Compute what others publish: success at 0.5, and mASR, the mean of success over `THRESHOLDS`."""
+    over_thresholds = np.mean([hidden(rows, t) for t in THRESHOLDS], axis=0)
+    at_half = rate(rows, hidden(rows, HALF), resamples=resamples)
+    mean = rate(rows, over_thresholds, resamples=resamples)
+    return rate_record("success_05", at_half, places) | rate_record("masr", mean, places)
 
 
 def rate_record(name: str, value: Rate, places: int = 6) -> dict:
@@ -152,7 +164,7 @@ def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
     """Count what became of the person in images without a reported one, at `threshold` and (`_own`) the own (C8).
 
     `renamed`: share of images in which something else is reported on the body; `gone`: nothing is; `named`: the most
-    frequent names of the former at `threshold`. Nulls where the detector does not tell of other classes.
+    frequent names of the former. Nulls where the detector does not tell of other classes.
     """
     has_others = bool(len(rows)) and bool(rows["other"].notna().all())
     record: dict = {}
@@ -162,9 +174,8 @@ def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
         other = rows["other"].to_numpy() > at if known else gone
         record[f"renamed{suffix}"] = finite(float((gone & other).mean())) if known else None
         record[f"gone{suffix}"] = finite(float((gone & ~other).mean())) if known else None
-        if not suffix:
-            names = rows["other_name"][gone & other].value_counts() if known else {}
-            record["named"] = {str(name): int(n) for name, n in list(names.items())[:NAMED]} if has_others else None
+        names = rows["other_name"][gone & other].value_counts() if known else {}
+        record[f"named{suffix}"] = {str(name): int(n) for name, n in list(names.items())[:NAMED]} if known else None
     return record
 
 

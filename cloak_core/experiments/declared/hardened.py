@@ -93,7 +93,8 @@ def images(store: RunStore) -> dict:
 
 def cells(store: RunStore) -> Cells:
     alarms = Alarms(store)
-    clothes = [read_clothes(cloth_spec(pattern)) for pattern in store.options.patterns]
+    patterns = [spec for named in store.options.patterns for spec in pattern_specs(named)]
+    clothes = [read_clothes(cloth_spec(pattern)) for pattern in patterns]
     for spec in store.specs:
         for name, attack in SUITE.items():
             reference = spec == store.specs[0] and len(store.specs) > 1

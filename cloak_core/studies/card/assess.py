@@ -10,42 +10,39 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Int64
 
 from cloak_core import __version__
 from cloak_core.core.evaluation.controls import CLOTHING, NATURAL
-from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.logo import area_share, load_logo
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import write_json
+from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.views import logo_positions
-from cloak_core.studies import statistics_card
 from cloak_core.studies.card import protocol
+from cloak_core.studies.card.figures import keep_rows, part_figures, part_of_area, people_states, summary
 from cloak_core.studies.card.page import keep_pictures
-from cloak_core.studies.card.words import untested_here
-from cloak_core.studies.card.work import TRAINED, OnWork, Work
+from cloak_core.studies.card.work import TRAINED, OnWork, Pace, Work, measure_pace
 from cloak_core.studies.cloaked import cloth_colors
+from cloak_core.studies.data_split import people_record
 from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.studies.store import MEASUREMENT_VERSION, RunStore
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.studies.training_store import TRAINING_VERSION, Trained
 from cloak_core.studies.trainings.run_record import environment
 from cloak_core.studies.wearing.clothes import CONTROLS, Clothes, clothes_of, read_clothes
-from cloak_core.studies.wearing.wearing import wear_and_judge
+from cloak_core.studies.wearing.renderer import PeopleRenderer
 from cloak_core.zoo.entry import MARK, run_path, shelved
 
-FORMAT = "cloak card 1"
+FORMAT = "cloak card 2"
 BESIDE = (CLOTHING, "random")
 """Controls beside every cloak."""
-BARE = 256
-"""Scenes without anybody, for false alarms; they are looked at once, and not again with every cloak."""
-LEAST_COUNT = 12
-"""Steps and images that are never fewer, however short the time."""
+CLOCKED_PEOPLE = 2
+"""People in photographs whose dressing is clocked."""
 
 
 @dataclass(eq=False)
@@ -53,18 +50,16 @@ class Assessment:
     """One detector (the store's only one) under the protocol, into OUT/NAME; the store's folder is shared."""
 
     store: RunStore
-    budget: protocol.Budget
+    size: protocol.Size
     folder: Path
-    """Takes card.json and what is shown beside it."""
+    """Takes card.json, the rows behind it and what is shown beside it."""
     zoo: Sequence[str] | None = None
     """Entries whose cloaks it is shown; None: all there are."""
     on_work: OnWork | None = None
     people: People | None = None
-    """People in photographs, to be dressed in the largest cloak and in the patterns."""
+    """People in photographs: the first ones are dressed in the largest cloak, another detector's, and the patterns."""
     patterns: Sequence[str] = ()
-    """Pictures to be worn as cloth that repeats: FILE.png@tile=METRES."""
-    began: float = field(default_factory=time.monotonic)
-    """`time.monotonic()` before materials and detector were loaded; that counts towards the budget's minutes."""
+    """Pictures to be worn, as `read_clothes` takes them: FILE.png@tile=METRES, FILE.png@patch=METRES."""
     shown: dict[str, tuple[Trained, tuple[float, ...], dict]] = field(default_factory=dict, init=False)
     """What pictures may be taken of, by part: a cloak, its test azimuths and evaluation settings."""
 
@@ -75,64 +70,70 @@ class Assessment:
         self.white_box = self.detector.differentiable
         self.folder.mkdir(parents=True, exist_ok=True)
         self.entries = self._entries()
+        if self.people is not None:
+            self.people = replace(self.people, people=self.people.people[: self.size.people])
+        self.clothes = [read_clothes(spec) for spec in self.patterns]
+        names = [cloth.name for cloth in self.clothes]
+        if len(set(names)) < len(names):
+            raise InputError(f"--patterns: {max(names, key=names.count)} is given twice")
+        self.patterns, self.left = self.patterns[: self.size.patterns], self.clothes[self.size.patterns :]
+        del self.clothes[self.size.patterns :]
 
     def run(self) -> dict:
         """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
-        budget = self.budget
-        rate = self._seconds_per_image() if budget.minutes else 0.0
-        worn = self._worn_image(rate) if rate and self.people is not None and len(self.people) else 1.0
-        smaller = [_name(area) for area in budget.areas[:-1]] + ["circle"] if self.white_box else []
-        told = self._asked(), self.on_work, budget.seeds, budget.minutes, rate, smaller
-        work = Work(self._costs(worn), self.folder / "spent.json", *told, prepared=time.monotonic() - self.began)
+        work = Work(self.costs(), self._spent, self._asked(), self.on_work, self.size.seeds)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         card = self._head()
-        with work.part("clean") as share:
-            card |= self._clean(share)
-        card |= {"white_box": [], "circle": None}
-        for area, faces in zip(budget.areas, self._areas, strict=True) if self.white_box else ():
-            with work.part(_name(area)) as share:
-                card["white_box"] += [self._area(area, faces, share)] if share else []
-        if self.white_box:
-            with work.part("circle") as share:
-                card |= self._circle(share) if share else {}
-        if self.people is not None:
-            with work.part("people") as share:
-                card["photographs"] = self._photographs(share)
+        with work.part("clean"):
+            card |= self._clean()
+        card |= {"white_box": [], "around": None, "photographs": None, "patterns": []}
+        for area, faces in zip(self.size.areas, self._areas, strict=True) if self.white_box else ():
+            with work.part(part_of_area(area)):
+                card["white_box"].append(self._area(area, faces))
+        if self.white_box and self.size.circle:
+            with work.part("circle"):
+                card["around"] = self._circle()
+        with work.part("zoo"):
+            card["black_box"] = {"zoo": [self._entry(entry) for entry in self.entries]}
         if self.patterns:
-            with work.part("patterns") as share:
-                card["patterns"] = [self._pattern(spec, share) for spec in self.patterns]
-        with work.part("zoo") as share:
-            card["black_box"] = self._black_box(share)
-        card["not_tested"] = untested_here(card)
+            with work.part("patterns"):
+                card["patterns"] = [self._pattern(*one) for one in zip(self.patterns, self.clothes, strict=True)]
+                card["patterns"] = [row for row in card["patterns"] if row]
+        if self.people is not None:
+            with work.part("people"):
+                card["photographs"] = self._photographs(card)
+        card |= summary(card)
         pictures = keep_pictures(self.folder / "pictures", self.store, self.shown, card)
         write_json(self.folder / "pictures.json", pictures)
-        card["shares"], card["seconds"] = work.shares, work.seconds
+        card["seconds"] = work.seconds
         write_json(self.folder / "card.json", card)
         return card
 
-    @torch.no_grad()
-    def _seconds_per_image(self) -> float:
-        """Clock the detector on a few grey images, the second time."""
-        images = torch.full((4, 3, self.store.options.size, self.store.options.size), 0.5, device=self.detector.device)
-        self.detector(images)
-        started = time.monotonic()
-        self.detector(images).scores.cpu()
-        return (time.monotonic() - started) / len(images)
+    def seconds_left(self, pace: Pace | None = None) -> tuple[float, Pace]:
+        """Estimate the time of what is not done yet, and the detector's pace. pace: where it is known."""
+        pace = pace or measure_pace(self.detector, self.store.options.size)
+        costs = self.costs(self._dressing(pace) if self.people is not None else 1.0)
+        return pace.seconds(Work(costs, self._spent, self._asked()).left), pace
 
-    def _worn_image(self, rate: float) -> float:
-        """Clock two people in photographs, dressed and judged, the second time: the cost of a picture, in images that
-        take `rate` seconds. To dress somebody may take longer than to look at the picture."""
-        people = replace(self.people, people=self.people.people[:2])
-        self._wear([], people)
+    @property
+    def _spent(self) -> Path:
+        return self.folder / "spent.json"
+
+    def _dressing(self, pace: Pace) -> float:
+        """Clock two people in photographs, fitted and dressed: a picture's cost, in images that are looked at."""
+        few = replace(self.people, people=self.people.people[:CLOCKED_PEOPLE])
         started = time.monotonic()
-        self._wear([], people)
-        return max(1.0, (time.monotonic() - started) / (len(people) * (1 + len(CONTROLS)) * rate))
+        renderer = PeopleRenderer(fit_people(few), [], self.split.unseen_backgrounds, WearSettings())
+        every = range(len(few))
+        for _ in renderer.compose(renderer.views(every), every, CONTROLS):
+            pass
+        return 1 + (time.monotonic() - started) / (max(1, len(few) * len(CONTROLS)) * max(pace.forward, 1e-6))
 
     # --- what there is to do
 
     @cached_property
     def _areas(self) -> list[Int64[np.ndarray, " L"]]:
-        return protocol.nested_areas(self.split.bodies, self.budget.areas)
+        return protocol.nested_areas(self.split.bodies, self.size.areas)
 
     def _entries(self) -> list[dict]:
         """The zoo's cloaks that this scene can wear, by name, with their run folders and records."""
@@ -146,50 +147,58 @@ class Assessment:
                 raise InputError(f"{name}: made for another topology than scene '{self.split.bodies.name}'")
         return found
 
-    def _costs(self, worn: float) -> dict[str, tuple[float, float]]:
+    def costs(self, worn: float = 1.0) -> dict[str, tuple[float, float]]:
         """By part, images to train on and to look at; worn: what a picture of somebody dressed counts."""
-        budget, poses = self.budget, self.split.unseen.pose_count
-        batch, places = self.store.train_settings().run.batch, poses * budget.images_per_view * budget.seeds
+        size, poses = self.size, self.split.unseen.pose_count
+        batch, places = self.store.train_settings().run.batch, poses * size.images_per_view * size.seeds
         looks = (len(BESIDE) + 1) * places
-        steps = TRAINED * batch * budget.steps * budget.seeds
-        costs = {"clean": (0.0, 6.0 * budget.clean_images + BARE)}
+        steps = TRAINED * batch * size.steps * size.seeds
+        costs = {"clean": (0.0, 6.0 * size.clean_images + size.bare)}
         if self.white_box:
-            costs |= {_name(area): (steps, looks * len(budget.front_angles)) for area in budget.areas}
+            costs |= {part_of_area(area): (steps, looks * len(size.front_angles)) for area in size.areas}
+        if self.white_box and size.circle:
             # All around, an image that is trained on is a new view, as one that is looked at.
-            costs["circle"] = 2 * steps, looks * len(budget.circle_angles) + 2 * steps / TRAINED
-        front = looks / budget.seeds * len(budget.front_angles)
-        if self.people is not None:
-            costs["people"] = 0.0, worn * len(self.people) * (len(CONTROLS) + 2 + len(self.patterns))
+            costs["circle"] = 2 * steps, looks * len(size.circle_angles) + 2 * steps / TRAINED
+        front = looks / size.seeds * len(size.front_angles)
+        costs["zoo"] = 0.0, front * len(self.entries)
         if self.patterns:
             costs["patterns"] = 0.0, front * len(self.patterns)
-        return costs | {"zoo": (0.0, front * len(self.entries))}
+        if self.people is not None:
+            costs["people"] = 0.0, worn * len(self.people) * (len(CONTROLS) + 3 + len(self.patterns))
+        return costs
 
     def _asked(self) -> str:
-        asked = {"budget": asdict(self.budget), "seed": self.store.options.seed, "protocol": protocol.VERSION}
-        asked |= {"people": self.people and len(self.people), "patterns": list(self.patterns)}
-        versions = {"training": TRAINING_VERSION, "measurement": MEASUREMENT_VERSION}
-        return sha256_record(asked | versions | {"split": self.split.record()})
+        asked = {"size": asdict(self.size), "seed": self.store.options.seed, "protocol": protocol.VERSION}
+        asked |= {"people": self.people and people_record(self.people), "patterns": list(self.patterns)}
+        return sha256_record(asked | self._versions() | {"split": self.split.record()})
+
+    @staticmethod
+    def _versions() -> dict[str, int]:
+        return {"training": TRAINING_VERSION, "measurement": MEASUREMENT_VERSION}
 
     def _head(self) -> dict:
         options, detector = self.store.options, self.detector
         made = {"cloak": __version__, "command": options.command, "seed": options.seed}
+        materials = self.split.record() | ({"shown_people": people_record(self.people)} if self.people else {})
         return {
             "format": FORMAT,
             "protocol": protocol.VERSION,
-            "budget": self.budget.name,
+            "size": self.size.name,
+            "versions": self._versions(),
             "spec": self.spec,
             "operating_point": detector.operating_point,
             "operating_point_assumed": detector.operating_point_assumed,
             "differentiable": self.white_box,
             "partial_gradient": detector.partial_gradient,
             "made": made | environment(),
-            "counts": asdict(self.budget) | {"size": options.size},
-            "materials": self.split.record(),
+            "counts": asdict(self.size) | {"pixels": options.size},
+            "materials": materials,
+            "left_patterns": [one.name for one in self.left],
         }
 
     # --- the parts
 
-    def _clean(self, part: float) -> dict:
+    def _clean(self) -> dict:
         """Measure own clothing and untrained patterns from everywhere, and bare scenes."""
         faces = self._areas[-1]
         noise = np.random.default_rng([self.store.options.seed, 0xB1]).integers(0, 2, (len(faces), 1))
@@ -199,103 +208,81 @@ class Assessment:
         settings = {
             "elevations": elevations,
             "distances": distances,
-            "images_per_view": math.ceil(self.budget.clean_images / views),
-            "most_images": _fewer(self.budget.clean_images, part),
-            "bare": _fewer(BARE, part),
+            "images_per_view": math.ceil(self.size.clean_images / views),
+            "most_images": self.size.clean_images,
+            "bare": self.size.bare,
             "controls": (CLOTHING, "grey", "random", *NATURAL),
         }
-        results = self._evaluated("clean", [worn], angles, settings)
-        return {
-            "clean": statistics_card.clean_record(results, self.spec),
-            "recall_by": statistics_card.recall_by(results, self.spec),
-            "controls": statistics_card.control_records(results, self.spec, logo="noise"),
-        }
+        return self._figures("clean", [worn], angles, settings)
 
-    def _area(self, area: float, faces: Int64[np.ndarray, " L"], part: float) -> dict:
+    def _area(self, area: float, faces: Int64[np.ndarray, " L"]) -> dict:
         """Train a cloak of this area against the detector and judge it from the front."""
-        steps = _fewer(self.budget.steps, part)
-        results = self._attacked(_name(area), faces, protocol.FRONT, steps, self.budget.front_angles, part)
+        trained = self._trained(faces, protocol.FRONT, self.size.steps)
         share = round(area_share(self.split.bodies, faces), 4)
-        label = {"asked": area, "area": share, "faces": len(faces), "steps": steps}
-        return label | statistics_card.attack_record(results, self.spec)
+        label = {"asked": area, "area": share, "faces": len(faces), "steps": self.size.steps}
+        angles = self.size.front_angles
+        return label | self._figures(part_of_area(area), trained, angles, self._front(), label)
 
-    def _circle(self, part: float) -> dict:
+    def _circle(self) -> dict:
         """Train the largest cloak all around and judge it so."""
-        steps, angles = _fewer(2 * self.budget.steps, part), self.budget.circle_angles
-        results = self._attacked("circle", self._areas[-1], protocol.CIRCLE, steps, angles, part)
-        row = statistics_card.attack_record(results, self.spec)
-        row |= {"by_angle": statistics_card.by_angle_record(results, self.spec), "steps": steps}
-        return {"circle": row["success"], "around": row}
+        label = {"steps": 2 * self.size.steps}
+        trained = self._trained(self._areas[-1], protocol.CIRCLE, label["steps"])
+        return label | self._figures("circle", trained, self.size.circle_angles, self._front(), label)
 
-    def _photographs(self, part: float) -> dict:
-        """Dress people in photographs in the largest cloak, made on renders, and in the patterns."""
-        people = replace(self.people, people=self.people.people[: _fewer(len(self.people), part)])
-        clothes = [read_clothes(spec) for spec in self.patterns]
+    def _photographs(self, card: dict) -> dict:
+        """Dress people in photographs in the largest cloak, made on renders, the zoo's strongest, and the patterns."""
+        clothes: list[Clothes] = list(self.clothes)
+        strange = [row for row in card["black_box"]["zoo"] if not row["trained_against_it"]]
+        if strange:
+            name = max(strange, key=lambda row: (row["success_own"], row["success"]))["name"]
+            clothes.insert(0, read_clothes(MARK + name))
         if self.white_box:
-            worn, _, _ = self.shown[_name(self.budget.areas[-1])]
+            worn, _, _ = self.shown[part_of_area(self.size.areas[-1])]
             position = logo_positions(self.split.bodies.topology, worn.logo.face_ids)
             clothes.insert(0, clothes_of(protocol.AGAINST, position, worn.colors, worn.cloth))
-        told = self._wear(clothes, people)
-        return {"people": told["people"], "left_out": told["left_out"], "rows": told["detectors"][self.spec]}
+        results = self.store.measure_people(clothes, self.people, WearSettings(bare=0))
+        rows = part_figures("people", keep_rows(self.folder, "people", [results]), self.spec, {})
+        told = {"people": len(self.people), "left_out": self.people.left_out}
+        return told | {"rows": people_states(card, rows)}
 
-    def _wear(self, clothes: Sequence[Clothes], people: People) -> dict:
-        judges = {self.spec: self.detector}
-        return wear_and_judge(clothes, people, judges, self.split.unseen_backgrounds, settings=WearSettings(bare=0))
-
-    def _pattern(self, spec: str, part: float) -> dict:
-        """Show it a published pattern as cloth for shirt and trousers, from the front."""
-        cloth = read_clothes(spec)
+    def _pattern(self, spec: str, cloth: Clothes) -> dict | None:
+        """Show it a published pattern as cloth for shirt and trousers, from the front; None of a patch."""
+        if cloth.is_patch:
+            return None
         colors = cloth_colors(cloth.picture, cloth.metres, self.split.unseen, self._areas[-1])
         printed = PrintedCloth.of(cloth.picture, cloth.metres)
         worn = self.store.untrained(colors, self._areas[-1], Path(cloth.name), printed)
-        results = self._evaluated(f"pattern {cloth.name}", [worn], self.budget.front_angles, self._front(part))
-        return {"name": cloth.name} | statistics_card.attack_record(results, self.spec)
+        part = f"pattern {cloth.name}"
+        return {"name": cloth.name} | self._figures(part, [worn], self.size.front_angles, self._front())
 
-    def _black_box(self, part: float) -> dict:
-        """Show it the zoo's cloaks; those trained against this very detector say so, and do not count."""
-        split, found = self.split, []
-        for entry in self.entries:
-            ids = load_logo(split.unseen, entry["path"] / "logo.npy").face_ids
-            colors = read_colors(entry["path"] / "colors.npy", len(ids))
-            worn = self.store.untrained(colors, ids, entry["path"], cloth_of_run(entry["path"]))
-            results = self._evaluated(f"zoo {entry['name']}", [worn], self.budget.front_angles, self._front(part))
-            unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
-            white = trained_against(entry["config"], split.detectors)[self.spec]
-            label = {"name": entry["name"], "trained_against_it": white, "unseen": unseen}
-            label["area"] = round(area_share(split.unseen, ids), 4)
-            found.append(label | statistics_card.attack_record(results, self.spec))
-        counted = [row for row in found if not row["trained_against_it"]]
-        worst = max(counted, key=lambda row: (row["success_own"], row["success"]), default=None)
-        most = {key: max((row[key] for row in counted), default=None) for key in ("success", "success_own")}
-        return {"zoo": found, "counted": len(counted), "worst": worst and worst["name"]} | most
+    def _entry(self, entry: dict) -> dict:
+        """Show it a cloak of the zoo; one trained against this very detector says so, and does not count."""
+        split = self.split
+        ids = load_logo(split.unseen, entry["path"] / "logo.npy").face_ids
+        colors = read_colors(entry["path"] / "colors.npy", len(ids))
+        worn = self.store.untrained(colors, ids, entry["path"], cloth_of_run(entry["path"]))
+        unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
+        white = trained_against(entry["config"], split.detectors)[self.spec]
+        label = {"name": entry["name"], "trained_against_it": white, "unseen": unseen}
+        label["area"] = round(area_share(split.unseen, ids), 4)
+        return label | self._figures(f"zoo {entry['name']}", [worn], self.size.front_angles, self._front())
 
-    def _front(self, part: float) -> dict:
-        settings = {"images_per_view": self.budget.images_per_view, "controls": BESIDE, "bare": 1}
-        full = self.split.unseen.pose_count * len(self.budget.front_angles) * self.budget.images_per_view
-        return settings | ({"most_images": _fewer(full, part)} if part < 1 else {})
+    def _front(self) -> dict:
+        return {"images_per_view": self.size.images_per_view, "controls": BESIDE, "bare": 1}
 
-    def _attacked(
+    def _trained(self, faces: Int64[np.ndarray, " L"], angles: str, steps: int) -> list[Trained]:
+        return self.store.train_repetitions(faces, [self.spec], angles=angles, steps=steps)
+
+    def _figures(
         self,
         part: str,
-        faces: Int64[np.ndarray, " L"],
-        trained_angles: str,
-        steps: int,
+        trained: Sequence[Trained],
         angles: tuple[float, ...],
-        share: float,
-    ) -> Results:
-        changes = {"angles": trained_angles, "steps": steps}
-        trained = self.store.train_repetitions(faces, [self.spec], **changes)
-        return self._evaluated(part, trained, angles, self._front(share))
-
-    def _evaluated(self, part: str, trained: Sequence[Trained], angles: tuple[float, ...], settings: dict) -> Results:
+        settings: dict,
+        label: dict | None = None,
+    ) -> dict:
+        """Judge repetitions of a cloak, keep the rows beside the card, and compute the part's figures from them."""
         self.shown[part] = (trained[0], angles, settings)
-        return self.store.measure_repetitions(trained, angles, **settings)
-
-
-def _fewer(count: int, share: float) -> int:
-    """The share of a count, at least `LEAST_COUNT` of it."""
-    return max(min(count, LEAST_COUNT), round(count * share))
-
-
-def _name(area: float) -> str:
-    return f"area {area:.0%}"
+        rows = [self.store.measure_repetitions([one], angles, **settings) for one in trained]
+        head = {"partial_gradient": self.detector.partial_gradient} | (label or {})
+        return part_figures(part, keep_rows(self.folder, part, rows), self.spec, head)

@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 from cloak_core.files.errors import InputError, one_line
 from cloak_core.files.reading import is_number, read_toml
 from cloak_core.files.writing import write_text
-from cloak_core.studies.card.leaderboard import is_too_short, name_of
+from cloak_core.studies.card.certainty import AT_LEAST
+from cloak_core.studies.card.leaderboard import name_of
 
 SIDES = ("min", "max")
 
@@ -45,26 +46,27 @@ def read_gate(path: Path) -> list[Bound]:
 def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
     """Say of each bound how the card breaks it, "" where it is kept.
 
-    A figure that the card lacks breaks its bound, and so does one that may be at most so much where the attack behind
-    it was too short to say so.
+    A figure that was not measured breaks its bound, and so does one that may be at most so much where it is only known
+    to be at least so much.
     """
-    figures, said, short = dict(_flat(card)), {}, _short_attacks(card)
+    figures, said, unsure = dict(_flat(card)), {}, set(_unsure(card))
     for bound in bounds:
         value = figures.get(bound.figure)
         kept = is_number(value) and (value >= bound.value if bound.side == "min" else value <= bound.value)
         found = f"is {value:g}" if is_number(value) else "was not measured"
-        steps = next((n for place, n in short.items() if f"{bound.figure}.".startswith(f"{place}.")), None)
-        if kept and bound.side == "max" and steps:
-            kept, found = False, f"{found} after {steps} updates of the cloak, too few to say"
+        if kept and bound.side == "max" and any(f"{bound.figure}.".startswith(f"{place}.") for place in unsure):
+            kept, found = False, f"is at least {value:g}"
         said[bound] = "" if kept else f"{name_of(card)}: {bound.figure} {found}; the gate asks for {bound}"
     return said
 
 
-def _short_attacks(card: dict) -> dict[str, int]:
-    """Updates of the attacks that were too short, by the place of their figures."""
-    rows = {f"white_box.{_row_name(row, 0)}": row for row in card.get("white_box", [])}
-    rows |= {"around": card["around"], "circle": card["around"]} if card.get("around") else {}
-    return {place: row["steps"] for place, row in rows.items() if is_too_short(card, row)}
+def _unsure(card: dict) -> Iterator[str]:
+    """List the places of figures that are at least what they say."""
+    for place, value in _flat(card):
+        head, _, key = place.rpartition(".")
+        if key == "state" and value == AT_LEAST and head:
+            yield head
+            yield from ("circle",) if head == "around" else ()
 
 
 def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:

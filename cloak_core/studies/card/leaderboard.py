@@ -1,47 +1,35 @@
-"""The card's tables: the attacks on its page, its line in a leaderboard, and many cards as one Markdown table.
+"""The card's tables: the attacks on its page, its line in a leaderboard, and many cards as one table.
 
 To add a figure, compute it in `statistics_card` and give it a column here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text
-from cloak_core.studies.card.protocol import ENOUGH, VERSION
+from cloak_core.studies.card.certainty import MEASURED, shown, strongest, whole
+from cloak_core.studies.card.protocol import VERSION
 from cloak_core.studies.report.words import file_name, interval, percent, short_name
 
 HEAD = """# Leaderboard
 
-Written by `cloak assess --out DIR --leaderboard FILE` from the cards in DIR; [defence.md](defence.md) says what they
-measure. All figures at the threshold at which each detector is run, with 95 % intervals; an arrow points to what is
-better for whoever runs the detector. *76 % ↓*: the share of people whom the detector does not report when a cloak made
-against it covers that share of the body, from the front; *all around*: the largest cloak, trained and judged in the
-full circle; *others' cloaks*: the zoo's best one that was not made against the detector; *photographs*, where a card
-has them: the worst that people in photographs wore. The most robust come first, by the mean over the areas. Rows of
-different budgets do not compare; "from 40 % on" after a budget says that time allowed some parts no more than 40 % of
-its steps and images.
+Written by `cloak leaderboard build DIR` from the cards in DIR; [defence.md](defence.md#the-robustness-card) says what
+they measure. All figures at the threshold at which each detector is run, with 95 % intervals; an arrow points to what
+is better for whoever runs the detector. *photographs*: the worst that people in photographs wore; *76 % ↓*: the share
+of people whom the detector does not report when a cloak made against it covers that share of the body, from the front;
+*all around*: the largest cloak, trained and judged in the full circle; *others' cloaks*: the zoo's best one that was
+not made against the detector. ≥: at least; –: not measured. Rows of different sizes do not compare.
 """
-
-
-UNTRAINED = (CLOTHING, "grey", "random", "resampled")
-"""What people in photographs wear as controls."""
 
 
 def name_of(card: dict) -> str:
     """The detector's name, as pages call it."""
     return card.get("label") or short_name(card["spec"])
-
-
-def worn_rows(card: dict) -> dict[str, dict]:
-    """Select what people in photographs wore beside the controls: name -> S; empty where there were none."""
-    rows = (card.get("photographs") or {}).get("rows", {})
-    return {name: row for name, row in rows.items() if name not in UNTRAINED}
 
 
 def _points(value: float) -> str:
@@ -52,49 +40,39 @@ def _points(value: float) -> str:
 def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
     """The columns of the table of attacks: head -> the cell of a row of `attack_record`."""
     return {
-        f"hidden at its own {card['operating_point']}": lambda row: percent(row["success_own"]),
+        f"hidden at its own {card['operating_point']}": lambda row: shown(row),
         "95 %": lambda row: interval(row["ci95_own"]),
+        "how sure": lambda row: row["state"],
         "hidden at 0.6": lambda row: percent(row["success"]),
         "95 % at 0.6": lambda row: interval(row["ci95"]),
+        "hidden at 0.5": lambda row: percent(row["success_05"]),
         "mASR 0.1 – 0.9": lambda row: percent(row["masr"]),
         "AP50": lambda row: _points(row["ap50"]),
         "AP50:95": lambda row: _points(row["ap50_95"]),
-        "something else there": lambda row: percent(row.get("renamed_own")),  # earlier versions' cards do not tell
-        "nothing there": lambda row: percent(row.get("gone_own")),
+        "something else there": lambda row: percent(row["renamed_own"]),
+        "nothing there": lambda row: percent(row["gone_own"]),
         "random colours": lambda row: percent(row["random_own"]),
         "own clothing": lambda row: percent(row["clothing_own"]),
         "images": lambda row: str(row["n"]),
     }
 
 
-def is_too_short(card: dict, row: dict) -> bool:
-    """Whether the time left the attack of this row so few updates that people may hide far better."""
-    full = card.get("counts", {}).get("steps", 0) * (2 if row is card.get("around") else 1)
-    return row.get("steps", full) < ENOUGH * full
-
-
-def at_least(card: dict, row: dict) -> str:
-    """The mark before a share of hidden people that is a lower bound: the attack was too short."""
-    return "≥ " if is_too_short(card, row) else ""
-
-
 def leaderboard_row(card: dict) -> dict[str, str]:
-    """The card's line in a leaderboard, column by column."""
+    """The card's line in a leaderboard, column by column; photographs first."""
     clean, attacks, black, around = card["clean"], card["white_box"], card["black_box"], card.get("around")
-    worst = max(worn_rows(card).values(), key=lambda row: row["success_own"], default=None)
-    # Of the parts that were done, the least share of its full size that the time allowed.
-    least = min(filter(None, card.get("shares", {}).values()), default=1.0)
+    worn = strongest(card, True)
+    strange = next((row for row in black["zoo"] if row["name"] == black["worst"]), None)
     return {
         "detector": name_of(card),
-        **({"photographs ↓": _both(worst, "success_own")} if worst else {}),
-        **{f"{percent(row['asked'])} ↓": at_least(card, row) + _both(row, "success_own") for row in reversed(attacks)},
-        "all around ↓": at_least(card, around) + _both(around, "success_own") if around else "–",
-        "others' cloaks ↓": percent(black["success_own"]) if black["counted"] else "–",
+        "photographs ↓": _both(worn and worn.row, "success_own"),
+        **{f"{percent(row['asked'])} ↓": _both(row, "success_own") for row in reversed(attacks)},
+        "all around ↓": _both(around, "success_own"),
+        "others' cloaks ↓": _both(strange, "success_own"),
         "clean recall ↑": _both(clean, "recall_own"),
         "AP50 ↑": _points(clean["ap50"]),
         "false alarms ↓": percent(clean["false_alarms_own"]),
         "threshold": f"{card['operating_point']:g}",
-        "budget": card["budget"] + (f",\nfrom {percent(least)} on" if least < 1 else ""),
+        "size": card["size"],
     }
 
 
@@ -105,9 +83,9 @@ def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:
     return heads, [[row.get(head, "–") for head in heads] for row in rows]
 
 
-def _both(row: dict, key: str) -> str:
+def _both(row: dict | None, key: str) -> str:
     """A share and, in a line of its own, its interval: a table of ten columns then fits a page."""
-    return f"{percent(row[key])}\n({interval(row['ci95_own'])})"
+    return f"{shown(row, key)}\n({interval(row['ci95_own'])})" if row else shown(row)
 
 
 # --- many cards
@@ -133,8 +111,10 @@ def folder_names(specs: Sequence[str]) -> dict[str, str]:
 def read_card(path: Path) -> dict:
     """Read a card.json. InputError: it is something else, or of another version."""
     card = read_json(path)
-    if not str(card.get("format", "")).startswith("cloak card") or card.get("protocol") != VERSION:
-        raise InputError(f"{path}: a card of protocol {card.get('protocol')!r}; this version has {VERSION!r}")
+    if not str(card.get("format", "")).startswith("cloak card"):
+        raise InputError(f"{path}: format is {card.get('format')!r}, not a cloak card")
+    if card.get("protocol") != VERSION:
+        raise InputError(f"{path}: protocol is {card.get('protocol')!r}; this version has {VERSION!r}")
     return card
 
 
@@ -146,20 +126,21 @@ def markdown_rows(cards: list[dict]) -> list[str]:
 
 
 def write_leaderboard(cards: dict[str, dict], path: Path) -> None:
-    """Write all cards, the most robust first: by how few people the white-box cloaks hide; those without one last."""
-    ranked = sorted(cards.values(), key=lambda card: (_untested(card), _hidden(card), card["spec"]))
-    made = dict.fromkeys(f"cloak {card['made']['cloak']}, torch {card['made'].get('torch', '?')}" for card in ranked)
-    write_text(path, "\n".join([HEAD, *markdown_rows(ranked), "", f"Made with {'; '.join(made)}."]) + "\n")
+    """Write all cards as a Markdown table, in the order of `ranked`."""
+    ordered = ranked(cards.values())
+    made = dict.fromkeys(f"cloak {card['made']['cloak']}, torch {card['made'].get('torch', '?')}" for card in ordered)
+    write_text(path, "\n".join([HEAD, *markdown_rows(ordered), "", f"Made with {'; '.join(made)}."]) + "\n")
 
 
-def _untested(card: dict) -> int:
-    """0: attacked in earnest; 1: too shortly or too little to be ranked with those; 2: not at all."""
-    if not card["white_box"]:
-        return 2
-    dropped = 0 in card.get("shares", {}).values()
-    return int(dropped or any(is_too_short(card, row) for row in card["white_box"]))
+def ranked(cards: Iterable[dict]) -> list[dict]:
+    """Order cards, the most robust first; those whose white box is short or was not measured come last.
+
+    Robust: by the strongest attack on people in photographs, where any were shown, then the mean over the areas.
+    """
+    return sorted(cards, key=lambda card: (whole(card) != MEASURED, not card["white_box"], *_hidden(card)))
 
 
-def _hidden(card: dict) -> float:
-    rows = card["white_box"]
-    return sum(row["success_own"] for row in rows) / len(rows) if rows else 1.0
+def _hidden(card: dict) -> tuple[float, float, str]:
+    rows, worn = card["white_box"], strongest(card, True)
+    mean = sum(row["success_own"] for row in rows) / len(rows) if rows else 1.0
+    return worn.row["success_own"] if worn else 1.0, mean, card["spec"]

@@ -19,8 +19,9 @@ from cloak_core.core.evaluation.results import NOBODY
 from cloak_core.core.evaluation.statistics import hidden
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text, written
-from cloak_core.studies.card import leaderboard, words
-from cloak_core.studies.card.leaderboard import markdown_rows, read_card, worn_rows
+from cloak_core.studies.card import certainty, leaderboard, words
+from cloak_core.studies.card.certainty import MEASURED, worn_rows
+from cloak_core.studies.card.leaderboard import markdown_rows, read_card
 from cloak_core.studies.report import page, plots
 from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
 from cloak_core.studies.store import RunStore
@@ -49,11 +50,12 @@ def write_card(folder: Path) -> Path:
         "card": card,
         "words": words,
         "board": leaderboard,
+        "certainty": certainty,
         "picture": next((pairs[0] for pairs in shown["hidden"].values()), None),
         "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
         "figures": _figures(plots.card_figures, card),
         "pictures": shown,
-        "size": card["counts"]["size"],
+        "size": card["counts"]["pixels"],
         "text": json.dumps({key: card[key] for key in ("counts", "materials", "made")}, indent=2),
     }
     return page.write_page(folder / CARD, "card.html", values)
@@ -71,7 +73,7 @@ def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
         "heads": heads,
         "rows": rows,
         "figures": _figures(plots.comparison_figures, cards),
-        "mixed": len({(card["budget"], card["made"]["seed"]) for card in cards}) > 1,
+        "mixed": len({(card["size"], card["made"]["seed"]) for card in cards}) > 1,
     }
     return page.write_page(path, "compare.html", values)
 
@@ -81,8 +83,13 @@ def model_card(card: dict) -> str:
     figures = {"recall": card["clean"]["recall_own"], "ap50": card["clean"]["ap50"]}
     figures |= {f"hidden at {row['asked']:.0%} of the body": row["success_own"] for row in card["white_box"]}
     figures |= {f"hidden in photographs, {name}": row["success_own"] for name, row in worn_rows(card).items()}
-    dataset = {"name": f"Cloak protocol {card['protocol']}, {card['budget']}", "type": "cloak"}
-    metrics = [{"type": name, "name": name, "value": value} for name, value in figures.items()]
+    dataset = {"name": f"Cloak protocol {card['protocol']}, {card['size']}", "type": "cloak"}
+    sure = {f"hidden at {row['asked']:.0%} of the body": row["state"] for row in card["white_box"]}
+    sure |= {f"hidden in photographs, {name}": row["state"] for name, row in worn_rows(card).items()}
+    metrics = [
+        {"type": name, "name": name, "value": value, "args": {"state": sure.get(name, MEASURED)}}
+        for name, value in figures.items()
+    ]
     result = {"task": {"type": "object-detection"}, "dataset": dataset, "metrics": metrics}
     index = [{"name": leaderboard.name_of(card), "results": [result]}]
     front = {"pipeline_tag": "object-detection", "tags": ["person-detection", "robustness"], "model-index": index}

@@ -1,4 +1,4 @@
-"""What every card measures, under a version number: cards of one version and budget can be compared."""
+"""What every card measures, in counts: cards of one version and size compare on any machine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.core.logo import chest_thighs, front_faces, shirt_trousers
 from cloak_core.exchange.bodies import Bodies
 
-VERSION = "1"
+VERSION = "2"
 """Raise it whenever a card of the same detector would come out otherwise."""
 
 AREAS = (0.05, 0.20, 0.40, 0.76)
@@ -26,14 +26,17 @@ CLEAN_ANGLES = tuple(float(a) for a in range(0, 360, 45))
 CLEAN_ELEVATIONS = (0.0, 6.0, 15.0, 30.0)
 CLEAN_DISTANCES = (1.4, 2.2, 3.2, 4.5, 6.0)
 
-
-ENOUGH = 0.5
-"""Share of the budget's updates below which an attack is too short to say that a detector withstands it."""
+ENOUGH_LARGEST = 150
+"""Updates after which the largest cloak is near its end. In our records (success at the detector's own threshold on
+76 % of the body) 150 updates reached at least 0.94 of what 300 or 1,500 did: docs/defence.md has the table."""
+ENOUGH = 600
+"""Updates after which any other cloak is. On 20 % of the body 150 updates reached 0.40 to 0.76 of the end, and 300
+reached 0.89 of 1,500 for the slowest detector."""
 
 
 @dataclass(frozen=True)
-class Budget:
-    """How much a card costs: steps of the attacks and numbers of images."""
+class Size:
+    """How much a card measures; everything is a count."""
 
     name: str
     steps: int
@@ -48,9 +51,15 @@ class Budget:
     """Test images of every unseen body at each of those azimuths."""
     clean_images: int
     """Images in own clothing from everywhere: near and far, around, from eye level and above."""
+    bare: int
+    """Scenes without anybody, for false alarms."""
+    people: int
+    """People in photographs, the first ones of the file."""
+    patterns: int
+    """Published patterns, the first ones given."""
     areas: tuple[float, ...] = AREAS
-    minutes: float | None = None
-    """Time that the card may take; steps and images are fewer where they do not fit (`Work.part`). None: any time."""
+    circle: bool = True
+    """Whether a cloak for the full circle is made."""
 
     @property
     def front_angles(self) -> tuple[float, ...]:
@@ -63,9 +72,16 @@ class Budget:
         return tuple(float(a) for a in range(0, 360, self.circle_step))
 
 
-QUICK = Budget("quick", 150, 1, 4, 30, 2, 240, minutes=10.0)
-DEFAULT = Budget("default", 600, 1, 2, 20, 3, 720)
-FULL = Budget("full", 1500, 3, 1, 15, 4, 1920)
+# quick has fewer attacks than the others, none that its updates would leave short (`ENOUGH`).
+QUICK = Size("quick", 300, 1, 5, 30, 3, 240, 128, 40, 3, areas=AREAS[-1:], circle=False)
+STANDARD = Size("standard", 600, 1, 2, 20, 3, 720, 256, 120, 12)
+FULL = Size("full", 1500, 3, 1, 15, 4, 1920, 256, 400, 48)
+SIZES = {size.name: size for size in (QUICK, STANDARD, FULL)}
+
+
+def updates_needed(area: float | None) -> int:
+    """Count the updates below which an attack is short: on this share of the body (0 to 1), None for all around."""
+    return ENOUGH_LARGEST if area == AREAS[-1] else ENOUGH
 
 
 def nested_areas(bodies: Bodies, shares: tuple[float, ...]) -> list[Int64[np.ndarray, " L"]]:

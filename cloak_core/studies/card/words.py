@@ -1,12 +1,29 @@
-"""The card's sentences: what a manager reads, made by rule from the figures."""
+"""The card's sentences: what a manager reads, made by rule from the figures and how sure they are."""
 
 from __future__ import annotations
 
-from cloak_core.studies.card.leaderboard import at_least, is_too_short, name_of, worn_rows
-from cloak_core.studies.card.protocol import AGAINST
+from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.detectors.defended.table import split_defence
+from cloak_core.detectors.specs import parse_spec
+from cloak_core.files.specs import without_folders
+from cloak_core.studies.card.certainty import (
+    AT_LEAST,
+    HALF,
+    MEASURED,
+    NOT_MEASURED,
+    Attack,
+    kind,
+    shown,
+    state,
+    strongest,
+    whole,
+    worded,
+)
+from cloak_core.studies.card.leaderboard import name_of
+from cloak_core.studies.hardening.students import TRAINABLE
 from cloak_core.studies.report.words import instead, interval, percent
 
-HALF, GOOD = 0.5, 0.9
+GOOD = 0.9
 ALWAYS = (
     "Printed cloth before a real camera: clothes here are rendered, or laid on photographs by computation.",
     "Night, weather, blur, crowds, people behind things, children, seated or lying people.",
@@ -16,119 +33,121 @@ ALWAYS = (
 
 
 def headline(card: dict) -> str:
-    """Say how well people hide and what is seen instead, at the detector's own threshold; photographs first."""
-    name, rows, black = name_of(card), card["white_box"], card["black_box"]
-    photographs = worn_rows(card)
-    if photographs:
-        worn, row = max(photographs.items(), key=lambda pair: pair[1]["success_own"])
-        own = percent(card["photographs"]["rows"]["clothing"]["success_own"])
-        hidden = f"{'at least ' if _is_unsure(card) else ''}{percent(row['success_own'])}"
-        return (
-            f"In photographs, {hidden} of people who wear {_worn(worn)} are hidden from {name}"
-            f"{instead(row, own=True)}; in their own clothing it misses {own} of them."
-        )
-    if not rows and black["counted"]:
-        return f"Cloaks made against other detectors hide up to {percent(black['success_own'])} of people from {name}."
-    if not rows:
+    """Say how well people hide and what is seen instead, at the detector's own threshold; photographs first.
+
+    Where another attack on rendered bodies hides more, that is said, too.
+    """
+    name, worn, rendered = name_of(card), strongest(card, True), strongest(card, False)
+    if worn is None and rendered is None:
         return f"Nothing attacked {name} here: it gives no gradients, and there was no cloak to show it."
-    half = next((row for row in rows if row["success_own"] >= HALF), None)
-    row = half or max(rows, key=lambda row: row["success_own"])
-    what, hidden = f"on {percent(row['area'])} of the body", percent(row["success_own"])
-    rest = f"{instead(row, own=True)}. In their own clothing it misses {percent(row['clothing_own'])} of the same."
-    if half is None:
-        return f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}{rest}"
-    return f"A cloak {what}, made against {name}, hides {hidden} of people from it{rest}"
+    said = []
+    if worn is not None:
+        own = percent(card["photographs"]["rows"][CLOTHING]["success_own"])
+        said.append(
+            f"In photographs, {_worded(card, worn)} of people who wear {worn.worn.rstrip(',')} are hidden from {name}"
+            f"{instead(worn.row, own=True)}; in their own clothing it misses {own} of them."
+        )
+    if rendered is not None and (worn is None or rendered.row["success_own"] > worn.row["success_own"]):
+        said.append(_rendered(card, rendered, name))
+    if not card["white_box"]:
+        said.append("Nobody attacked it who has the network.")
+    return " ".join(said)
 
 
-def _is_unsure(card: dict) -> bool:
-    """Whether any cloak made against it had too little time to say how well people hide."""
-    return any(is_too_short(card, row) for row in card["white_box"])
+def _rendered(card: dict, attack: Attack, name: str) -> str:
+    row = attack.row
+    own = percent(row["clothing_own"])
+    start = f"On rendered bodies, {attack.worn} hides {_worded(card, attack)} of people from {name}"
+    return f"{start}{instead(row, own=True)}; in their own clothing it misses {own} of the same."
 
 
-def _worn(name: str) -> str:
-    return "a cloak made against it" if name == AGAINST else f"the pattern {name.partition('@')[0]}"
+def _worded(card: dict, attack: Attack) -> str:
+    return worded(attack.row, whole(card))
 
 
 def worst(card: dict) -> dict:
-    """Find the one number: the largest share of people hidden at the own threshold, as a tile with its words.
-
-    Of people in photographs where there are any; else of renders: white box, all around, patterns, others' cloaks.
-    """
-    found = [("of people in photographs hidden", row) for row in worn_rows(card).values()]
-    if not found:
-        found = [("of people hidden, rendered", row) for row in (*card["white_box"], *card.get("patterns", []))]
-        found += [("of people hidden, rendered", card["around"])] if card.get("around") else []
-        found += [
-            ("of people hidden, rendered", row) for row in card["black_box"]["zoo"] if not row["trained_against_it"]
-        ]
-    if not found:
-        return {"what": "nothing attacked it", "value": "–", "interval": "–", "kind": "unknown"}
-    what, row = max(found, key=lambda pair: pair[1]["success_own"])
-    tile = _tile(what, row, "success_own", "down")
-    if _is_unsure(card) and tile["kind"] == "good":
-        tile |= {"value": f"≥ {tile['value']}", "kind": "unknown"}
-    return tile
+    """Make the one number, as a tile with its words: the largest share of people that any attack hides."""
+    attack = strongest(card)
+    if attack is None:
+        return {"what": "nothing attacked it", "value": "–", "interval": "–", "kind": "unknown", "state": NOT_MEASURED}
+    what = "of people in photographs hidden" if attack.photographed else "of people hidden, rendered"
+    row = attack.row | {"state": AT_LEAST if AT_LEAST in (state(attack.row), whole(card)) else MEASURED}
+    return _tile(what, row, "success_own", "down")
 
 
 def advice(card: dict) -> str:
-    """Say what to do, by rule: first mend what is bad without an attack, then what an attack does."""
-    clean, worse = card["clean"], worst(card)["kind"]
+    """Say what to do, by rule: first mend what is bad without an attack, then what a sure attack does."""
+    clean = card["clean"]
     if clean["recall_own"] < GOOD or clean["false_alarms_own"] > 1 - GOOD:
         return "First make it better without any attack: it misses people, or sees them where nobody is, too often."
-    if worse == "unknown" and not card["white_box"]:
-        return "Ask whoever has the network for the white-box part of this card before you rely on it."
-    if worse == "bad":
+    if kind(card) == "bad":
+        hardening = f", harden it ({command})" if (command := harden_command(card["spec"])) else ""
         return (
             "Do not let it decide alone where somebody may want to hide: put a second sensor or an unlike detector "
-            "beside it, harden it (cloak harden), and make this card again."
+            f"beside it{hardening}, and make this card again."
         )
-    if _is_unsure(card):
-        return "Give this card more time (--minutes): its attacks were too short to say how well people can hide."
-    if worse == "unknown":
-        return "Put a second sensor beside it where much depends on it, harden it (cloak harden), make this card again."
-    return "Keep it so: hold every new version against bounds on these figures (cloak assess --gate)."
+    if not card["white_box"]:
+        return "Ask whoever has the network for the white-box part of this card before you rely on it."
+    if whole(card) == AT_LEAST:
+        why = card["partial_gradient"] and "they follow a part of its gradient alone"
+        return f"Do not take these figures for its limit: its attacks were short of the protocol{why and f', {why}'}."
+    if kind(card) == "unknown":
+        return "Put a second sensor beside it where much depends on it: the intervals of its attacks reach half."
+    longer = " Make a card of a larger size, too (cloak assess --size full)." if card["size"] != "full" else ""
+    return f"Keep it so: hold every new version against bounds on these figures (cloak assess --gate).{longer}"
+
+
+def harden_command(spec: str) -> str:
+    """Give the command that hardens this detector; "" where its family cannot be."""
+    if split_defence(spec) is not None or parse_spec(spec).family not in TRAINABLE:
+        return ""
+    return f"cloak harden {without_folders(spec)}"
 
 
 def verdict(card: dict) -> tuple[str, str]:
-    """Judge by the least area that hides half of the people: kind (good, bad, unknown) and words of the badge.
-
-    unknown: there was no attack, it was too short, or the intervals reach beyond half.
-    """
-    rows = card["white_box"]
-    if not rows:
-        return "unknown", "white box not tested"
-    hiding = [row["asked"] for row in rows if row["success_own"] >= HALF]
-    if hiding:
-        return "bad", f"hidden by {percent(min(hiding))} of the body"
-    if _is_unsure(card):
-        return "unknown", "white box too short to say"
-    sure = all(row["ci95_own"][1] < HALF for row in rows)
-    return "good" if sure else "unknown", "no cloak hid half"
+    """Judge the card: kind (good, bad, unknown) and words of the badge."""
+    judged = kind(card)
+    if judged == "bad":
+        hiding = [row["asked"] for row in card["white_box"] if row["success_own"] >= HALF]
+        if hiding:
+            return judged, f"hidden by {percent(min(hiding))} of the body"
+        return judged, f"hidden by {strongest(card).worn.rstrip(',')}"
+    if not card["white_box"]:
+        return judged, "white box not measured"
+    if whole(card) == AT_LEAST:
+        return judged, "white box short of the protocol"
+    return judged, "no attack hid half"
 
 
 def tiles(card: dict) -> list[dict]:
-    """List the large figures: what, value, interval, and whether that is good for whoever runs the detector."""
+    """List the large figures: what, value, interval, state, and whether that is good for whoever runs the detector."""
     clean, black, rows = card["clean"], card["black_box"], card["white_box"]
     ends = [rows[k] for k in sorted({0, len(rows) - 1})] if rows else []
-    found = [_tile("finds people in own clothing", clean, "recall_own", "up")]
-    attacks = [(f"hidden by {percent(row['area'])} of the body", row) for row in ends]
-    attacks += [("hidden all around", card["around"])] if card.get("around") else []
-    for what, row in attacks:
-        tile, mark = _tile(what, row, "success_own", "down"), at_least(card, row)
-        unsure = {"what": f"{what} ({row['steps']} updates)", "value": mark + tile["value"]} if mark else {}
-        found.append(tile | unsure | ({"kind": "unknown"} if mark and tile["kind"] == "good" else {}))
-    if black["counted"]:
-        worst = next(row for row in black["zoo"] if row["name"] == black["worst"])
-        found.append(_tile("hidden by others' cloaks", worst, "success_own", "down"))
-    found.append(_tile("false alarms on bare scenes", clean, "false_alarms_own", "down"))
-    return found
+    listed = [_tile("finds people in own clothing", clean, "recall_own", "up")]
+    listed += [_tile(f"hidden by {percent(row['area'])} of the body", row, "success_own", "down") for row in ends]
+    listed += [] if rows else [_tile("hidden by a cloak made against it", None, "success_own", "down")]
+    listed.append(_tile("hidden all around", card.get("around"), "success_own", "down"))
+    strange = next((row for row in black["zoo"] if row["name"] == black["worst"]), None)
+    listed.append(_tile("hidden by others' cloaks", strange, "success_own", "down"))
+    listed.append(_tile("false alarms on bare scenes", clean, "false_alarms_own", "down"))
+    return listed
 
 
-def _tile(what: str, row: dict, key: str, good: str) -> dict:
-    value, bounds = row[key], row.get("ci95_" + key, row.get("ci95_own"))
-    better = value if good == "up" else 1 - value
-    kind = "good" if better >= GOOD else "bad" if better < HALF else "unknown"
-    return {"what": what, "value": percent(value), "interval": interval(bounds), "kind": kind}
+def _tile(what: str, row: dict | None, key: str, good: str) -> dict:
+    """Make a tile: green only of what was measured; what was not measured has no number."""
+    if state(row) == NOT_MEASURED:
+        return {"what": f"{what}: not measured", "value": "–", "interval": "–", "kind": "unknown", "state": state(row)}
+    better = row[key] if good == "up" else 1 - row[key]
+    judged = "good" if better >= GOOD and state(row) == MEASURED else "bad" if better < HALF else "unknown"
+    bounds = row.get("ci95_" + key, row.get("ci95_own"))
+    steps = f" ({row['steps']:,} updates)" if state(row) == AT_LEAST and "steps" in row else ""
+    return {
+        "what": what + steps,
+        "value": shown(row, key),
+        "interval": interval(bounds),
+        "kind": judged,
+        "state": state(row),
+    }
 
 
 def lede(card: dict) -> str:
@@ -143,23 +162,6 @@ def lede(card: dict) -> str:
     )
 
 
-def untested_here(card: dict) -> list[str]:
-    """Say what this card cannot tell for reasons of this detector or this call; kept in the card."""
-    said = []
-    if not card["differentiable"]:
-        said.append(
-            "No white-box attack: the detector gives no gradients. An attacker who has its weights in another "
-            "form may do far better than the cloaks shown here."
-        )
-    elif card["partial_gradient"]:
-        said.append(f"The gradient that the attack follows is not all of the answer's: {card['partial_gradient']}.")
-    if not card["black_box"]["counted"]:
-        some = bool(card["black_box"]["zoo"])
-        why = "those there are were made against it" if some else "the zoo holds none for this scene's bodies"
-        said.append(f"No cloak made against other detectors: {why}.")
-    return said
-
-
 def not_tested(card: dict) -> list[str]:
     """List everything a reader must not take for tested: this card's own, then what no card tests."""
     said = list(card["not_tested"])
@@ -171,17 +173,4 @@ def not_tested(card: dict) -> list[str]:
             f"Longer attacks: the largest cloak had {steps} updates{around} from one start{once}. "
             "An attacker with more time does as well or better."
         )
-    dropped = [part for part, share in card.get("shares", {}).items() if not share]
-    if dropped:
-        names = ", ".join("the full circle" if part == "circle" else part for part in dropped)
-        said.append(f"{names}: not attacked, so that the cloaks that were made got more of the time (--minutes).")
-    short = {part: share for part, share in card.get("shares", {}).items() if 0 < share < 1}
-    if short:
-        least = min(short.values())
-        said.append(
-            f"{card['counts']['minutes']:g} minutes were not enough for everything: {len(short)} parts had fewer steps "
-            f"and images, down to {percent(least)} of them. Their intervals are wider, and their attacks weaker."
-        )
-    if not card.get("photographs"):
-        said.append("People in photographs: none were given (--people).")
     return said + list(ALWAYS)

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image, ImageOps
 
+from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.outcomes import on_body
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.detector.scoring import max_person_score, person_boxes
@@ -117,8 +118,20 @@ def _compared(rows: pd.DataFrame, detectors: Sequence[str]) -> pd.DataFrame:
     table = rows.astype({"distance": float, "score": np.float32, "other": np.float32})
     by_detector = [table[(table["detector"] == spec).to_numpy()].reset_index(drop=True) for spec in detectors]
     partners, garment = find_partners(by_detector[0]), by_detector[0]["garment"].to_numpy()
-    compared = [one.assign(clean=clean_scores(one["score"].to_numpy(), garment, partners)) for one in by_detector]
+    compared = [
+        _without_own(one, partners).assign(clean=clean_scores(one["score"].to_numpy(), garment, partners))
+        for one in by_detector
+    ]
     return pd.concat(compared, ignore_index=True).astype({"clean": np.float32})
+
+
+def _without_own(rows: pd.DataFrame, partners: Sequence[np.ndarray]) -> pd.DataFrame:
+    """Leave out another class that is reported on the same person without the cloak, too: a bag is no new name."""
+    names, other = rows["other_name"].to_numpy(), rows["other"].to_numpy()
+    reported = other > np.minimum(rows["operating_point"].to_numpy(), THRESHOLD)
+    own = [bool(name) and name in names[p[reported[p]]] for name, p in zip(names, partners, strict=True)]
+    own &= (rows["garment"] != WITHOUT).to_numpy()
+    return rows.assign(other=np.where(own, np.float32(0), other), other_name=np.where(own, "", names))
 
 
 def _look_at(

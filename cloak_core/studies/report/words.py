@@ -32,14 +32,15 @@ def interval(bounds: list[float | None]) -> str:
 def instead(rates: dict, own: bool = False) -> str:
     """Say, as the end of a sentence, what is reported in hidden people's places; "" where the detector does not tell.
 
-    rates: figures of `statistics.outcome_record`. own: at the detector's own threshold, where no names are counted.
+    rates: figures of `statistics.outcome_record`. own: at the detector's own threshold.
     """
-    share = rates.get("renamed_own" if own else "renamed")
+    suffix = "_own" if own else ""
+    share = rates.get(f"renamed{suffix}")
     if share is None:
         return ""
     if not share:
         return "; nothing else is reported there"
-    names = [] if own else list(rates.get("named") or {})
+    names = list(rates.get(f"named{suffix}") or {})
     return f"; in {percent(share)} something else is reported there" + (f', mostly "{names[0]}"' if names else "")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -22,6 +22,7 @@ from cloak_core.core.visibility.texture import look_up
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.sources.bodies.logos.prints import print_picture
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fitting import Fit
@@ -156,6 +157,13 @@ def clothes_of(
     return PictureClothes(name, picture, cloth.cloth.metres, False, position)
 
 
+def content_of(clothes: Clothes) -> str:
+    """SHA-256 (hex) of all that decides how clothes look: every field but their name."""
+    values = {field.name: getattr(clothes, field.name) for field in fields(clothes) if field.name != "name"}
+    arrays = {name: sha256_arrays(value) for name, value in values.items() if isinstance(value, np.ndarray)}
+    return sha256_record({"kind": type(clothes).__name__} | values | arrays)
+
+
 @lru_cache(maxsize=1)
 def clothes_position() -> np.ndarray:
     """Shirt and trousers of the sample bodies as a logo: positions of the rig's triangles."""
@@ -177,7 +185,7 @@ def controls() -> list[Clothes]:
 
 def cloth_spec(pattern: str) -> str:
     """Name a pattern's width, where it is only FILE.png: 0.5 m."""
-    return pattern if "@tile=" in pattern else f"{pattern}@tile=0.5"
+    return pattern if "@tile=" in pattern or "@patch=" in pattern else f"{pattern}@tile=0.5"
 
 
 def read_clothes(spec: str) -> Clothes:
@@ -198,7 +206,7 @@ def read_clothes(spec: str) -> Clothes:
         except ValueError:
             metres = 0.0
         if not 0.01 <= metres <= 5:
-            raise InputError(f"{spec}: the width {picture['metres']} is not between 0.01 and 5 metres")
+            raise InputError(f"{spec}: {picture['metres']} metres are not between 0.01 and 5")
         name, pixels = _picture_of(picture["file"])
         is_patch = picture["kind"] == "patch"
         return PictureClothes(f"{name}@{picture['kind']}={metres:g}", pixels, metres, is_patch, clothes_position())

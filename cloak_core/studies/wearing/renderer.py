@@ -93,7 +93,8 @@ class PeopleRenderer:
 
     def on_person(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> OnBody:
         """Find the best scores of what `about_person` left: its person boxes are all hers."""
-        return on_body(detections, self.boxes(views, indices), HERS, within=0.0)
+        masks = torch.stack([view.mask for view in views]).to(self._device)
+        return on_body(detections, self.boxes(views, indices), HERS, within=0.0, masks=masks)
 
     def bare(self, backgrounds: Indices) -> Float[Tensor, "B 3 H W"]:
         """Backgrounds without people, as large as the images."""

@@ -1,0 +1,73 @@
+"""`cloak leaderboard`: check cards that others made, and build the page that compares them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional, UseAppendAction
+
+from cloak_core.commands.base import Command, out
+from cloak_core.commands.options import Detecting
+from cloak_core.files.errors import InputError
+
+
+@dataclass(kw_only=True)
+class Add(Detecting):
+    """Check robustness cards and put them into a leaderboard's folder.
+
+    Checked are format, protocol, size, versions and digests, and every figure is computed again from the rows beside
+    the card. Nothing is copied where one of the cards does not hold.
+    """
+
+    example = "cards/builtin --to leaderboard"
+
+    cards: Positional[tuple[str, ...]]
+    """Folders that cloak assess wrote (CARDS/NAME), or their card.json."""
+    to: Path = Path("leaderboard")
+    """Folder of cards that is the leaderboard's source."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors that are at hand, by the cards' specs: their digests are compared, too."""
+
+    def run(self) -> dict:
+        from cloak_core.core.detector.protocol import detector_record
+        from cloak_core.files.identity import sha256_record
+        from cloak_core.studies.card.board import add_cards
+
+        if not self.cards:
+            raise InputError("leaderboard add: which cards? (CARDS/NAME)")
+        self.prepare()
+        named = [Path(card) for card in self.cards]
+        folders = [path.parent if path.name == "card.json" else path for path in named]
+        digests = {spec: sha256_record(detector_record(one)) for spec, one in self.by_spec(self.detector).items()}
+        joined = add_cards(folders, self.to, digests)
+        return {"added": [str(folder) for folder in joined]}
+
+    def show(self, result: dict) -> None:
+        for folder in result["added"]:
+            out.print(f"{folder}: every figure holds")
+        out.print(f"next: cloak leaderboard build {self.to}")
+
+
+@dataclass(kw_only=True)
+class Build(Command):
+    """Check every card of a leaderboard's folder again, and write its page and table.
+
+    index.html opens offline, sorts by any column and filters; each row leads to its card.
+    """
+
+    example = "leaderboard"
+
+    folder: Positional[Path]
+    """Folder of cards: NAME/card.json, with the rows beside it."""
+
+    def run(self) -> dict:
+        from cloak_core.studies.card.board import build_board
+
+        files, cards = build_board(self.folder)
+        return {"cards": [card["spec"] for card in cards], "files": [str(path) for path in files]}
+
+    def show(self, result: dict) -> None:
+        out.print(f"{len(result['cards'])} cards: every figure holds")
+        for path in result["files"]:
+            out.print(f"wrote {path}")
