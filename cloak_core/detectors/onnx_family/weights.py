@@ -48,8 +48,8 @@ class TrainableWeights:
     as it is where anything else in the graph reads it too, or where it is a kernel of whole numbers alone: that is
     arithmetic (the expectation over distances in YOLOv8's head, a cut, a sum), not learned.
 
-    graph: from `to_torch` with fold=False, changed in place. model: what it was converted from. original: the file as it
-    is, in which weights may have other names for each use (Identity) and half precision.
+    graph: from `to_torch` with fold=False, changed in place. model: what it was converted from. original: the file as
+    it is, in which weights may have another name for each use (Identity) and half precision.
     """
 
     def __init__(self, graph: fx.GraphModule, model: onnx.ModelProto, original: onnx.ModelProto) -> None:
@@ -144,7 +144,7 @@ def _places(
                 yield position, Use(owner, name)
 
 
-def _is_learned(values: Shaped[np.ndarray, "..."]) -> bool:
+def _is_learned(values: Shaped[np.ndarray, "*n"]) -> bool:
     """Tell whether an array is one of fractions, or a vector: biases may begin as zeros, scales as ones."""
     return np.issubdtype(values.dtype, np.floating) and (values.ndim == 1 or bool((values != np.round(values)).any()))
 
@@ -177,5 +177,6 @@ def _tensors(graph: onnx.GraphProto) -> dict[str, onnx.TensorProto]:
     found = {tensor.name: tensor for tensor in graph.initializer}
     for node in graph.node:
         if node.op_type == "Constant":
-            found |= {node.output[0]: a.t for a in node.attribute if a.name == "value"}
+            value = next((attribute.t for attribute in node.attribute if attribute.name == "value"), None)
+            found |= {} if value is None else {node.output[0]: value}
     return found

@@ -25,6 +25,11 @@ class HardenSettings:
     cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
     """How much an image in a cloak counts beside one without and a picture in the last fifth of the updates; before it
     counts 1. More makes the detector more robust, less keeps more of its answers without cloaks."""
+    perturbation: Annotated[float, Bounds(0, 0.5)] = 0.0
+    """Beside its cloak, how far each pixel of an image may be moved (l-infinity norm), in units of colour; 4/255 is
+    0.0157. 0: not at all."""
+    replays: Annotated[int, Bounds(1, 100)] = 2
+    """Updates of the detector on a turn's images where they are perturbed, each along the slope of the one before."""
     pictures: Annotated[int, Bounds(0, 4096)] = 3
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
     decoys: Annotated[int, Bounds(0, 4096)] = 5

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.sources.bodies.photographs.made_people import write_people
+from tests.sources.photographs.made_people import write_people
 
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.harden import Harden
