@@ -18,7 +18,7 @@ from cloak_core.studies.report.words import file_name, interval, percent, short_
 
 HEAD = """# Leaderboard
 
-Written by `cloak assess --out DIR --leaderboard FILE` from the cards in DIR; [defence.md](defence.md) says what they
+Written by `cloak assess --out DIR --leaderboard FILE` from the cards in DIR; [card.md](card.md) says what they
 measure. All figures at the threshold at which each detector is run, with 95 % intervals; an arrow points to what is
 better for whoever runs the detector. *76 % ↓*: the share of people whom the detector does not report when a cloak made
 against it covers that share of the body, from the front; *all around*: the largest cloak, trained and judged in the

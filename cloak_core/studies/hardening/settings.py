@@ -12,7 +12,7 @@ from cloak_core.core.settings.values import Bounds
 
 @dataclass(frozen=True, kw_only=True)
 class HardenSettings:
-    """How a detector is hardened; docs/defence.md says what was measured, and with which settings."""
+    """How a detector is hardened; docs/hardening.md says what was measured, and with which settings."""
 
     steps: Annotated[int, Bounds(1, 10_000_000)] = 2400
     """Updates of the detector."""

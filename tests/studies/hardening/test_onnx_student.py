@@ -317,7 +317,8 @@ def chooses(made: Made) -> None:
     made.head()
     made.nodes[-1].output[0] = "all"
     made.weight("best", np.array([64]), INT64)
-    made.node("TopK", "all best", "output order", axis=2)
+    made.node("TopK", "all best", "highest order", axis=2)
+    made.node("Transpose", "highest", "output", perm=[0, 2, 1])
 
 
 @pytest.mark.parametrize(

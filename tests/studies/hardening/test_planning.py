@@ -78,7 +78,7 @@ def test_hours_become_counts_in_the_record_and_a_resumed_hardening_keeps_them(
 
 @pytest.mark.parametrize("hours", [0.0, -1.0, float("nan"), float("inf")])
 def test_hours_that_are_none_are_refused(hours: float, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--hours .*: is not in"):
+    with pytest.raises(InputError, match=r"--hours .*: is not in"):
         Harden(spec="builtin", out=tmp_path / "out", hours=hours).run()
 
 
