@@ -73,6 +73,7 @@ def _lift_constants(model: onnx.ModelProto) -> None:
             lifted = graph.initializer.add()
             lifted.CopyFrom(value)
             lifted.name = node.output[0]
+            weights[lifted.name] = lifted  # of which another may be a copy
             graph.node.remove(node)
 
 

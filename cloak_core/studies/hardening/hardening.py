@@ -220,7 +220,8 @@ class Hardening:
         self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 3)} | more)
 
     def _save(self) -> None:
-        tensors = {f"network.{name}": value for name, value in self.student.network.state_dict().items()}
+        # Copies: one parameter may stand under several names, which the file's format refuses.
+        tensors = {f"network.{name}": value.clone() for name, value in self.student.network.state_dict().items()}
         tensors |= {f"averaged.{name}": value for name, value in self.averaged.items()}
         for number, state in self.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{number}.{name}": value for name, value in state.items()}

@@ -143,8 +143,13 @@ def test_the_learning_rate_falls_twice() -> None:
 
 
 def test_what_cannot_be_trained_is_refused_in_one_line() -> None:
-    with pytest.raises(InputError, match="cannot train 'python', only builtin, darknet, torchvision and ultralytics"):
-        open_student("python:d2go.py:load")
+    words = (
+        r"cannot train 'openvino', only builtin, darknet, onnx, python, torchvision and ultralytics; harden the weights"
+    )
+    with pytest.raises(InputError, match=words):
+        open_student("openvino:net.xml")
+    with pytest.raises(InputError, match=r"names no family; onnx:net.onnx\?"):
+        open_student("net.onnx")
     with pytest.raises(InputError, match="cannot train 'jpeg=75', only builtin"):
         open_student("jpeg=75:builtin")
 
