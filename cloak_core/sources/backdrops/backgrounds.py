@@ -59,7 +59,7 @@ class DecodedImages:
         self._files = DiskCache(folder, ".rgb", limit, "decoded images")
         self._pictures = DiskCache(folder, ".picture", IDENTITIES_BYTES, "identities of images")
         decoder = [
-            code_hash("scene/backdrops/backgrounds.py", "files/likeness.py"),
+            code_hash("sources/backdrops/backgrounds.py", "files/likeness.py"),
             package_versions("pillow"),
         ]
         self._decoder = sha256_record(decoder)[:8]

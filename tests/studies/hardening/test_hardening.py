@@ -24,7 +24,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.hardening.hardening import HardenResult, harden, rate
+from cloak_core.studies.hardening.decoys import TEXTURE
+from cloak_core.studies.hardening.hardening import Hardening, HardenResult, harden, rate
 from cloak_core.studies.hardening.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
 from cloak_core.studies.hardening.pool import Given, Pool
@@ -383,3 +384,46 @@ def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_pa
     assert again.precision == "float32"
     assert all(p.dtype == torch.float32 and bool(p.isfinite().all()) for p in again.parameters())
     assert not torch.equal(again(images(1)).scores, load_detector(student.spec)(images(1)).scores)
+
+
+def test_cloths_that_repeat_are_among_the_cloaks_beside_the_same_clean_images(student: Student) -> None:
+    settings = HardenSettings(**(FEW | {"cloths": 1.0}))
+    pool, plain = (
+        Pool(one, box_bodies(), noise_backgrounds(), student.detector)
+        for one in (settings, replace(settings, cloths=0.0))
+    )
+    cloak = pool.cloak(0)
+    assert 0.2 <= cloak.worn.cloth.cloth.metres <= 0.55 and plain.cloak(0).worn.cloth is None
+    pair, other = pool.pair(0), plain.pair(0)
+    assert torch.equal(pair.clean, other.clean) and not torch.equal(pair.cloaked, other.cloaked)
+    before = cloak.optimizer.colors().detach().clone()
+    pool.attack(0)
+    assert not torch.equal(cloak.optimizer.colors(), before)
+    assert cloak.face_colors().shape == (len(cloak.logo), 3) and cloak.texture().shape == (3, TEXTURE, TEXTURE)
+    again = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
+    again.load(1, pool.state())
+    assert torch.equal(again.cloak(0).optimizer.colors(), cloak.optimizer.colors())
+    for turn in range(1, 5):  # a life is over: the faces remember what lay on them
+        pool.attack(turn)
+    assert pool.skins[0].shape == (box_bodies().face_count, 3)
+
+
+def test_a_perturbation_moves_images_in_cloaks_within_its_bound_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update, seen = Hardening._update, []
+
+    def recorded(self: Hardening, images: torch.Tensor, wanted: object, count: int, kept: int) -> torch.Tensor:
+        seen.append(images.detach().clone())
+        return update(self, images, wanted, count, kept)
+
+    monkeypatch.setattr(Hardening, "_update", recorded)
+    spec = write_tiny(tmp_path)
+    hardened(open_student(spec), tmp_path / "plain", steps=1)
+    hardened(open_student(spec), tmp_path / "moved", steps=1, perturbation=0.02, replays=3)
+    plain, *moved = seen
+    assert len(moved) == 3
+    for images, earlier in zip(moved, [plain, *moved], strict=False):
+        away = (images[:2] - plain[:2]).abs()
+        assert 0.005 < float(away.mean()) and float(away.max()) <= 0.02 + 1e-6
+        assert not torch.equal(images[:2], earlier[:2]) and torch.equal(images[2:], plain[2:])
