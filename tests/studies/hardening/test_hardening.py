@@ -126,6 +126,17 @@ def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(student: Stud
         hardened(student, tmp_path / "out", resume=True, steps=1)
 
 
+def test_a_folder_begun_before_a_setting_was_there_goes_on(student: Student, tmp_path: Path) -> None:
+    hardened(student, tmp_path / "out", steps=1)
+    config = json.loads((tmp_path / "out" / "config.json").read_text())
+    for name in ("perturbation", "replays", "cloths"):
+        del config["settings"][name]
+    (tmp_path / "out" / "config.json").write_text(json.dumps(config))
+    assert hardened(student, tmp_path / "out", resume=True, steps=1).step == 1
+    with pytest.raises(InputError, match="begun with other --cloths"):
+        hardened(student, tmp_path / "out", resume=True, steps=1, cloths=0.5)
+
+
 def test_cloaked_images_count_as_much_as_asked_in_the_last_fifth(student: Student, tmp_path: Path) -> None:
     hardened(student, tmp_path / "out", steps=5, cloaked_weight=3.0)
     told = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
@@ -423,7 +434,7 @@ def test_a_perturbation_moves_images_in_cloaks_within_its_bound_and_nothing_else
     hardened(open_student(spec), tmp_path / "moved", steps=1, perturbation=0.02, replays=3)
     plain, *moved = seen
     assert len(moved) == 3
-    for images, earlier in zip(moved, [plain, *moved], strict=False):
-        away = (images[:2] - plain[:2]).abs()
+    for shown, earlier in zip(moved, [plain, *moved], strict=False):
+        away = (shown[:2] - plain[:2]).abs()
         assert 0.005 < float(away.mean()) and float(away.max()) <= 0.02 + 1e-6
-        assert not torch.equal(images[:2], earlier[:2]) and torch.equal(images[2:], plain[2:])
+        assert not torch.equal(shown[:2], earlier[:2]) and torch.equal(shown[2:], plain[2:])
