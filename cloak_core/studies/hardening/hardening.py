@@ -123,6 +123,7 @@ class Hardening:
             self._tell("resume" if self.step else "start", steps=steps)
             while not self.step and len(self.pool.finished) < self._decoys_finished and not reason:
                 self.pool.finish_one()
+                self._save()
                 reason = stop.reason(self.seconds)
             while self.step < steps and not reason:
                 self._one_step()

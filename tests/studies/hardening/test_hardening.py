@@ -126,6 +126,22 @@ def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(student: Stud
         hardened(student, tmp_path / "out", resume=True, steps=1)
 
 
+def test_cloaks_finished_before_the_first_update_are_kept_by_a_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloak_core.studies.hardening.pool.FINISH", 2)
+    finish, finished = Pool.finish_one, []
+    monkeypatch.setattr(Pool, "finish_one", lambda pool: (finish(pool), finished.append(1)))
+    spec = write_tiny(tmp_path)
+    whole = hardened(open_student(spec), tmp_path / "whole", steps=1, finished=2)
+    with monkeypatch.context() as patched:
+        patched.setattr(StopRequest, "reason", lambda *_: "cancel file")
+        assert hardened(open_student(spec), tmp_path / "part", steps=1, finished=2).step == 0
+    rest = hardened(open_student(spec), tmp_path / "part", resume=True, steps=1, finished=2)
+    assert len(finished) == 2 + 2 and rest.step == 1
+    assert state_hash(load_detector(rest.spec)) == state_hash(load_detector(whole.spec))
+
+
 def test_a_folder_begun_before_a_setting_was_there_goes_on(student: Student, tmp_path: Path) -> None:
     hardened(student, tmp_path / "out", steps=1)
     config = json.loads((tmp_path / "out" / "config.json").read_text())
