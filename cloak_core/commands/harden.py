@@ -18,7 +18,12 @@ from cloak_core.studies.hardening.settings import HardenSettings
 
 if TYPE_CHECKING:
     from cloak_core.exchange.bodies import Bodies
+    from cloak_core.sources.backdrops.backgrounds import Backgrounds
     from cloak_core.studies.hardening.pool import Given
+    from cloak_core.studies.hardening.student import Student
+
+
+MOST_HOURS = 10_000
 
 
 @dataclass(kw_only=True)
@@ -35,11 +40,15 @@ class Harden(Computing):
     example = "builtin --steps 300 --out hardened"
 
     spec: Positional[str]
-    """Detector to harden: builtin, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE] or ultralytics:FILE.pt."""
+    """Detector to harden: builtin, onnx:FILE, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE], ultralytics:FILE.pt or
+    python:FILE:FUNCTION."""
     out: Path
     """Folder to write; a new one unless --resume."""
     resume: bool = False
     """Continue the hardening in --out from its last checkpoint."""
+    hours: float | None = None
+    """Plan --steps and --finished so that the hardening takes about so many hours: a few updates are tried first, and a
+    line says what will be done. The record holds the counts. The cards (--assess) come on top."""
     scene: str = "sample:train"
     """Bodies in cloaks: scene folder, .npz, or sample[:train]."""
     backgrounds: str = "procedural:train"
@@ -63,25 +72,28 @@ class Harden(Computing):
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
         from cloak_core.sources.photographs.people import load_people
         from cloak_core.studies.hardening.hardening import harden
+        from cloak_core.studies.hardening.places import check_places
         from cloak_core.studies.hardening.students import open_student
 
         self.prepare()
         if is_taken(self.out) and not self.resume:
             raise InputError(f"{self.out}: exists already (--resume goes on with it)")
         self.spec = full_spec(self.spec)
+        if self.hours is not None and not 0 < self.hours < MOST_HOURS:
+            raise InputError(f"--hours {self.hours:g}: is not in (0, {MOST_HOURS})")
         student, bodies = open_student(self.spec, self.compute.device), load_scene(self.scene)
+        backgrounds = load_backgrounds(self.backgrounds)
+        if not self.backgrounds.startswith("procedural"):
+            check_places(backgrounds, student.teacher, self.settings.size, self.backgrounds)
+        material = {
+            "photographs": None if self.photos is None else load_backgrounds(self.photos),
+            "people": None if self.people is None else load_people(self.people, self.images),
+            "given": [self._given(bodies, name) for name in self.cloak],
+        }
+        settings = self._planned(student, bodies, backgrounds, material)
         with TrainingProgress() as progress:
             result = harden(
-                self.settings,
-                student,
-                bodies,
-                load_backgrounds(self.backgrounds),
-                self.out,
-                photographs=None if self.photos is None else load_backgrounds(self.photos),
-                people=None if self.people is None else load_people(self.people, self.images),
-                given=[self._given(bodies, name) for name in self.cloak],
-                resume=self.resume,
-                on_event=progress,
+                settings, student, bodies, backgrounds, self.out, **material, resume=self.resume, on_event=progress
             )
         stopped = f"stopped at step {result.step}: {result.stopped}" if result.stopped else ""
         skipped = stopped or ("" if self.assess else "--no-assess: nobody asked for them")
@@ -89,6 +101,19 @@ class Harden(Computing):
         record |= {"out": str(self.out), "spec": result.spec, "step": result.step, "steps": result.steps}
         record |= {"seconds": round(result.seconds, 1), "judge": self._commands(result.spec)}
         return record | ({"stopped": stopped} if stopped else {})
+
+    def _planned(self, student: Student, bodies: Bodies, backgrounds: Backgrounds, material: dict) -> HardenSettings:
+        """Settings with the counts that --hours asks for; those of the record where a hardening goes on."""
+        from cloak_core.studies.hardening.planning import measure_pace, plan, planned_words, recorded_plan
+
+        if self.hours is None:
+            return self.settings
+        if self.resume and self.out.exists():
+            return recorded_plan(self.settings, self.out)
+        pace = measure_pace(self.settings, student, bodies, backgrounds, **material)
+        settings = plan(self.settings, pace, self.hours)
+        out.print(planned_words(settings, pace, self.hours))
+        return settings
 
     def _cards(self, spec: str) -> dict:
         """Make the cards of the detector before and after, and the page that compares them."""

@@ -98,6 +98,8 @@ def desk(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / f"{stand_in}.weights").symlink_to(weights)
     for name in ("net", "nanodet_m", "yolov8n"):
         (folder / f"{name}.onnx").symlink_to(data / "detectors" / "fastestdet.onnx")
+    (folder / "HARD").mkdir()
+    (folder / "HARD" / "hardened.onnx").symlink_to(data / "detectors" / "fastestdet.onnx")
     (folder / "bodies_anny.npz").symlink_to(data / "bodies_anny.npz")
     for name in ("photo.jpg", "person.jpg"):
         shutil.copy(data / "photos" / "person.jpg", folder / name)

@@ -30,8 +30,11 @@ class ShapeRecorder(fx.Interpreter):
 
 
 @torch.no_grad()
-def order_channels(graph: fx.GraphModule, image: Tensor) -> None:
-    """Replace, in place, chains of nodes that only put channels into another order; `image` is one to run it on."""
+def order_channels(graph: fx.GraphModule, image: Tensor, weights: bool = True) -> None:
+    """Replace, in place, chains of nodes that only put channels into another order; `image` is one to run it on.
+
+    weights: the order may go into the weights of a convolution.
+    """
     modules = dict(graph.named_modules())
     nodes = [node for node in graph.graph.nodes if _rearranges(node, modules)]
     if not any(_name(node, modules).startswith("Onnx") for node in nodes):
@@ -43,7 +46,7 @@ def order_channels(graph: fx.GraphModule, image: Tensor) -> None:
         chain = _chain(node, modules)
         order = _order(chain, modules, graph)
         if order is not None:
-            _replace(chain, order, modules, graph)
+            _replace(chain, order, modules, graph, weights)
     graph.graph.eliminate_dead_code()
     graph.delete_all_unused_submodules()
     graph.recompile()
@@ -101,9 +104,11 @@ def _constant(argument: object, graph: fx.GraphModule) -> object:
     return getattr(graph.get_submodule(owner), name)
 
 
-def _replace(chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module], graph: fx.GraphModule) -> None:
+def _replace(
+    chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module], graph: fx.GraphModule, weights: bool
+) -> None:
     source, end = chain[0], chain[-1]
-    if _into_convolution(end, order, source.meta["shape"][1], modules):
+    if weights and _into_convolution(end, order, source.meta["shape"][1], modules):
         end.replace_all_uses_with(source)
         return
     plainer = _plainer(order)

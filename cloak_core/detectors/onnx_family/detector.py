@@ -18,7 +18,7 @@ from cloak_core.detectors.onnx_family.channels import order_channels
 from cloak_core.detectors.onnx_family.end_to_end import before_choice
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier, what_it_may_be
 from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode
-from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model
+from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model, read_proto
 from cloak_core.detectors.onnx_family.networks import (
     Converted,
     NotConvertible,
@@ -28,6 +28,7 @@ from cloak_core.detectors.onnx_family.networks import (
     to_torch,
 )
 from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, takes_batches
+from cloak_core.detectors.onnx_family.weights import NotTrainable, TrainableWeights
 from cloak_core.detectors.pixels import YOLO_GREY, PixelFormat, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.verification.comparing import sample_images
@@ -54,6 +55,8 @@ class OnnxDetector(Detector):
         self.differentiable = isinstance(network, Converted)
         self.person, self.first_class = 0, 0
         self.path = Path(spec)
+        self.weights: TrainableWeights | None = None
+        """Of a network that was loaded as it is, to be trained."""
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         if images.requires_grad and not self.differentiable:
@@ -87,7 +90,8 @@ def load_onnx(request: Request) -> OnnxDetector:
 
     The file is converted to torch, and what came of it is compared with onnxruntime at the first loading; where that
     fails it stays a black box, and a line says why. Class names, input size and confidence come from the file's own
-    metadata, else class names as for Darknet. InputError names what is missing or ambiguous.
+    metadata, else class names as for Darknet. InputError names what is missing or ambiguous; with `fold` False also why
+    the file cannot be converted.
     """
     for package in PACKAGES:
         require(package, request.spec)
@@ -99,11 +103,15 @@ def load_onnx(request: Request) -> OnnxDetector:
     if (request.layout or named or END_TO_END) == END_TO_END:
         file = before_choice(file, size)
     try:
-        detector = _assemble(request, named, file, _converted(file, size))
-        _compare(detector, file)
+        detector = _assemble(request, named, file, _converted(file, size, request.fold))
+        _compare(detector, file, request.fold)
         if detector.partial_gradient:
             _log.warning("%s: of its gradient, %s; its graph shows no others", file.path, detector.partial_gradient)
+        if not request.fold:
+            detector.weights = TrainableWeights(detector.network.graph, file.model, read_proto(file.path)[0])
     except NotConvertible as error:
+        if not request.fold:
+            raise NotTrainable(f"{file.path}: its weights cannot be trained: {error}") from None
         session = Session(file.session(torch.get_num_threads()), file)
         detector = _assemble(request, named, file, session)
         session.one_by_one |= not takes_batches(session, detector.pixels.apply(sample_images(size)))
@@ -111,15 +119,15 @@ def load_onnx(request: Request) -> OnnxDetector:
     return detector.freeze()
 
 
-def _converted(file: ModelFile, size: tuple[int, int]) -> Converted:
-    """Convert the file to a torch module."""
+def _converted(file: ModelFile, size: tuple[int, int], fold: bool) -> Converted:
+    """Convert the file to a torch module; without folding, every weight of it is one of the file's."""
     if file.quantised:
         raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})")
     if file.suppresses:
         raise NotConvertible(f"it suppresses boxes itself (node {file.suppresses}), and what it cuts has no gradient")
-    graph = to_torch(file.model).to(memory_format=torch.channels_last)
+    graph = to_torch(file.model, fold).to(memory_format=torch.channels_last)
     try:
-        order_channels(graph, as_input(sample_images(size)[:1], file))
+        order_channels(graph, as_input(sample_images(size)[:1], file), weights=fold)
     except Exception as error:  # onnx2torch's modules fail in their own ways
         raise _fails(error) from None
     return Converted(graph, file, one_by_one=file.batch is not None)
@@ -194,7 +202,7 @@ def _layout(
     return name, decode
 
 
-def _compare(detector: OnnxDetector, file: ModelFile) -> None:
+def _compare(detector: OnnxDetector, file: ModelFile, fold: bool) -> None:
     """Compare a converted network with onnxruntime. NotConvertible: they disagree.
 
     Where only batches go wrong its images are run one by one, and a line names the node.
@@ -207,7 +215,7 @@ def _compare(detector: OnnxDetector, file: ModelFile) -> None:
         return compare(lambda x: decode(converted(x), size), lambda x: decode(session(x), size), images)
 
     settled = decode if is_dataclass(decode) else ""  # what a layout found out; functions have no words that last
-    parity = remembered(f"{detector.source} {settled}", look)
+    parity = remembered(f"{detector.source} {settled}{'' if fold else ' as it is'}", look)
     if parity.why or not parity.agrees:
         raise NotConvertible(parity.why or _disagreement(parity))
     if not parity.takes_batches:

@@ -90,17 +90,7 @@ class ModelFile:
 def read_model(path: Path) -> ModelFile:
     """Read a file. InputError: no ONNX; weights outside its folder; several inputs; an input that is no batch of RGB
     images."""
-    import onnx
-
-    data = read_bytes(path)
-    try:
-        model = onnx.load_from_string(data)
-    except Exception as error:  # protobuf's own
-        raise InputError(f"{path}: not an ONNX file ({first_line(error)[:120]})") from None
-    if not model.graph.node:
-        raise InputError(f"{path}: not an ONNX file, or one without a network")
-    check_tensors(model, path)
-    outside = _load_outside(model, path)
+    model, digest = read_proto(path)
     _as_float32(model)
     weights = {initializer.name for initializer in model.graph.initializer}
     inputs = [value for value in model.graph.input if value.name not in weights]
@@ -117,7 +107,7 @@ def read_model(path: Path) -> ModelFile:
     return ModelFile(
         path=path,
         model=model,
-        digest=sha256_arrays(np.frombuffer(data, np.uint8), *outside),
+        digest=digest,
         input_name=inputs[0].name,
         output_names=tuple(output.name for output in model.graph.output),
         channels_last=channels_last,
@@ -130,6 +120,22 @@ def read_model(path: Path) -> ModelFile:
         quantised=tuple(_named(model, lambda kind: kind in QUANTISED))[:3],
         suppresses=next(_named(model, lambda kind: "NMS" in kind or kind == "NonMaxSuppression"), ""),
     )
+
+
+def read_proto(path: Path) -> tuple[onnx.ModelProto, str]:
+    """Read a file as it is, with the weights that lie beside it, and the SHA-256 of all that. InputError: no ONNX."""
+    import onnx
+
+    data = read_bytes(path)
+    try:
+        model = onnx.load_from_string(data)
+    except Exception as error:  # protobuf's own
+        raise InputError(f"{path}: not an ONNX file ({first_line(error)[:120]})") from None
+    if not model.graph.node:
+        raise InputError(f"{path}: not an ONNX file, or one without a network")
+    check_tensors(model, path)
+    outside = _load_outside(model, path)
+    return model, sha256_arrays(np.frombuffer(data, np.uint8), *outside)
 
 
 def _named(model: onnx.ModelProto, wanted: Callable[[str], bool]) -> Iterator[str]:

@@ -32,8 +32,8 @@ class NotConvertible(Exception):
     """Says why a graph has no torch twin."""
 
 
-def to_torch(model: onnx.ModelProto) -> fx.GraphModule:
-    """Convert to a torch module, frozen, batch norm folded where it follows a convolution.
+def to_torch(model: onnx.ModelProto, fold: bool = True) -> fx.GraphModule:
+    """Convert to a torch module, frozen, batch norm folded where it follows a convolution unless told not to.
 
     NotConvertible names the operator, or the node, that has no translation.
     """
@@ -51,7 +51,8 @@ def to_torch(model: onnx.ModelProto) -> fx.GraphModule:
         raise NotConvertible(f"{type(error).__name__}: {first_line(error)[:120]}") from None
     graph.eval().requires_grad_(False)
     simplify(graph)
-    fold_batch_norm(graph)
+    if fold:
+        fold_batch_norm(graph)
     activate_in_place(graph)
     return graph
 
@@ -72,6 +73,7 @@ def _lift_constants(model: onnx.ModelProto) -> None:
             lifted = graph.initializer.add()
             lifted.CopyFrom(value)
             lifted.name = node.output[0]
+            weights[lifted.name] = lifted  # of which another may be a copy
             graph.node.remove(node)
 
 

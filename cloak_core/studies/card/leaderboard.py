@@ -18,7 +18,7 @@ from cloak_core.studies.report.words import file_name, interval, percent, short_
 
 HEAD = """# Leaderboard
 
-Written by `cloak leaderboard build DIR` from the cards in DIR; [defence.md](defence.md#the-robustness-card) says what
+Written by `cloak leaderboard build DIR` from the cards in DIR; [card.md](card.md) says what
 they measure. All figures at the threshold at which each detector is run, with 95 % intervals; an arrow points to what
 is better for whoever runs the detector. *photographs*: the worst that people in photographs wore; *76 % ↓*: the share
 of people whom the detector does not report when a cloak made against it covers that share of the body, from the front;

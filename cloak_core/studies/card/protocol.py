@@ -28,7 +28,7 @@ CLEAN_DISTANCES = (1.4, 2.2, 3.2, 4.5, 6.0)
 
 ENOUGH_LARGEST = 150
 """Updates after which the largest cloak is near its end. In our records (success at the detector's own threshold on
-76 % of the body) 150 updates reached at least 0.94 of what 300 or 1,500 did: docs/defence.md has the table."""
+76 % of the body) 150 updates reached at least 0.94 of what 300 or 1,500 did: docs/card.md has the table."""
 ENOUGH = 600
 """Updates after which any other cloak is. On 20 % of the body 150 updates reached 0.40 to 0.76 of the end, and 300
 reached 0.89 of 1,500 for the slowest detector."""

@@ -14,6 +14,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -39,6 +40,8 @@ LAST = 0.8
 height: a detector whose cloaks counted more from the start took cloth for people more often than before."""
 CLIP = 5.0
 """Longest gradient, over all parameters."""
+_NOISE = 5
+"""Stream of random numbers; `pool` and `pictures` have others."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,6 +123,7 @@ class Hardening:
             self._tell("resume" if self.step else "start", steps=steps)
             while not self.step and len(self.pool.finished) < self._decoys_finished and not reason:
                 self.pool.finish_one()
+                self._save()
                 reason = stop.reason(self.seconds)
             while self.step < steps and not reason:
                 self._one_step()
@@ -151,17 +155,50 @@ class Hardening:
         self._tell("step", **parts, **figures)
 
     def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor, decoys: Decoys) -> dict[str, float]:
-        """One update; returns the loss and its parts, each a mean over its own images."""
-        student, count, kept = self.student, len(cloaked), min(self.settings.clean, len(cloaked))
+        """Learn from a turn's images; returns the loss and its parts, each a mean over its own images.
+
+        With a perturbation there are several updates. The backward pass of each also gives the slope of the images in
+        cloaks, along which the next one sees them moved ("free" adversarial training, Shafahi et al., NeurIPS 2019;
+        beside cloaks: PBCAT, ICCV 2025).
+        """
+        count, kept = len(cloaked), min(self.settings.clean, len(cloaked))
         sources = torch.cat([clean, pictures, decoys.without])
         rows = torch.arange(len(sources), device=clean.device)
-        wanted = student.wanted(sources, torch.cat([rows[:count], rows[:kept], rows[count:]]))
-        images = torch.cat([cloaked, clean[:kept], pictures, decoys.shown])
+        wanted = self.student.wanted(sources, torch.cat([rows[:count], rows[:kept], rows[count:]]))
+        others = torch.cat([clean[:kept], pictures, decoys.shown])
+        bound = self.settings.perturbation
+        if not bound:
+            each = self._update(torch.cat([cloaked, others]), wanted, count, kept)
+        else:
+            rng = np.random.default_rng([self.settings.seed, _NOISE, self.step])
+            start = rng.uniform(-bound, bound, cloaked.shape).astype(np.float32)
+            noise = torch.from_numpy(start).to(cloaked.device)
+            for _ in range(self.settings.replays):
+                moved = (cloaked + noise).clamp(0, 1).requires_grad_()
+                each = self._update(torch.cat([moved, others]), wanted, count, kept)
+                noise = (noise + bound * moved.grad.sign()).clamp(-bound, bound)
+        parts = each.split([count, kept, len(pictures), len(decoys.shown)])
+        names = ("cloaked", "clean", "pictures", "decoys")
+        means = {name: float(part.mean()) for name, part in zip(names, parts, strict=True) if len(part)}
+        weights = self._weights(each, count)
+        return {"loss": float((weights * each).sum() / weights.sum())} | means
+
+    def _weights(self, each: Tensor, count: int) -> Tensor:
+        """How much each image counts, the `count` in cloaks first."""
+        weights = torch.ones_like(each)
+        weights[:count] = self.settings.cloaked_weight if self.step >= LAST * self.settings.steps else 1.0
+        return weights
+
+    def _update(self, images: Tensor, wanted: object, count: int, kept: int) -> Tensor:
+        """Update the detector once; returns each image's loss. Images that require a gradient get one.
+
+        count: images in cloaks, which come first; kept: the same in their own clothes, which come next.
+        """
+        student = self.student
         surer = torch.arange(len(images), device=images.device) < count + kept
         student.detector.requires_grad_(True)
         each = student.distance(images, wanted, surer, self.settings.sure)
-        weights = torch.ones_like(each)
-        weights[:count] = self.settings.cloaked_weight if self.step >= LAST * self.settings.steps else 1.0
+        weights = self._weights(each, count)
         loss = (weights * each).sum() / weights.sum()
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -171,10 +208,7 @@ class Hardening:
         for group in self.optimizer.param_groups:
             group["lr"] = self.settings.lr * rate(self.step, self.settings.steps)
         self.optimizer.step()
-        parts = each.detach().split([count, kept, len(pictures), len(decoys.shown)])
-        names = ("cloaked", "clean", "pictures", "decoys")
-        told = {name: float(part.mean()) for name, part in zip(names, parts, strict=True) if len(part)}
-        return {"loss": float(loss.detach())} | told
+        return each.detach()
 
     @torch.no_grad()
     def _average(self) -> None:
@@ -187,7 +221,8 @@ class Hardening:
         self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 3)} | more)
 
     def _save(self) -> None:
-        tensors = {f"network.{name}": value for name, value in self.student.network.state_dict().items()}
+        # Copies: one parameter may stand under several names, which the file's format refuses.
+        tensors = {f"network.{name}": value.clone() for name, value in self.student.network.state_dict().items()}
         tensors |= {f"averaged.{name}": value for name, value in self.averaged.items()}
         for number, state in self.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{number}.{name}": value for name, value in state.items()}

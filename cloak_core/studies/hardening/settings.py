@@ -12,7 +12,7 @@ from cloak_core.core.settings.values import Bounds
 
 @dataclass(frozen=True, kw_only=True)
 class HardenSettings:
-    """How a detector is hardened; docs/defence.md says what was measured, and with which settings."""
+    """How a detector is hardened; docs/hardening.md says what was measured, and with which settings."""
 
     steps: Annotated[int, Bounds(1, 10_000_000)] = 2400
     """Updates of the detector."""
@@ -25,6 +25,11 @@ class HardenSettings:
     cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
     """How much an image in a cloak counts beside one without and a picture in the last fifth of the updates; before it
     counts 1. More makes the detector more robust, less keeps more of its answers without cloaks."""
+    perturbation: Annotated[float, Bounds(0, 0.5)] = 0.0
+    """Beside its cloak, how far each pixel of an image may be moved (l-infinity norm), in units of colour; 4/255 is
+    0.0157. 0: not at all."""
+    replays: Annotated[int, Bounds(1, 100)] = 2
+    """Updates of the detector on a turn's images where they are perturbed, each along the slope of the one before."""
     pictures: Annotated[int, Bounds(0, 4096)] = 3
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
     decoys: Annotated[int, Bounds(0, 4096)] = 5
@@ -43,6 +48,9 @@ class HardenSettings:
     attack_steps times a turn. With a short life it stays weak, and the detector learns to withstand only weak ones."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 3
     """Steps of a cloak against the detector as it stands, before each update."""
+    cloths: Annotated[float, Bounds(0, 1)] = 0.0
+    """Share of the new cloaks that are a cloth that repeats every 20 to 55 cm, as published textures do. It begins as a
+    plain print or a random pattern."""
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
     attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.05

@@ -24,7 +24,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.hardening.hardening import HardenResult, harden, rate
+from cloak_core.studies.hardening.decoys import TEXTURE
+from cloak_core.studies.hardening.hardening import Hardening, HardenResult, harden, rate
 from cloak_core.studies.hardening.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
 from cloak_core.studies.hardening.pool import Given, Pool
@@ -125,6 +126,33 @@ def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(student: Stud
         hardened(student, tmp_path / "out", resume=True, steps=1)
 
 
+def test_cloaks_finished_before_the_first_update_are_kept_by_a_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloak_core.studies.hardening.pool.FINISH", 2)
+    finish, finished = Pool.finish_one, []
+    monkeypatch.setattr(Pool, "finish_one", lambda pool: (finish(pool), finished.append(1)))
+    spec = write_tiny(tmp_path)
+    whole = hardened(open_student(spec), tmp_path / "whole", steps=1, finished=2)
+    with monkeypatch.context() as patched:
+        patched.setattr(StopRequest, "reason", lambda *_: "cancel file")
+        assert hardened(open_student(spec), tmp_path / "part", steps=1, finished=2).step == 0
+    rest = hardened(open_student(spec), tmp_path / "part", resume=True, steps=1, finished=2)
+    assert len(finished) == 2 + 2 and rest.step == 1
+    assert state_hash(load_detector(rest.spec)) == state_hash(load_detector(whole.spec))
+
+
+def test_a_folder_begun_before_a_setting_was_there_goes_on(student: Student, tmp_path: Path) -> None:
+    hardened(student, tmp_path / "out", steps=1)
+    config = json.loads((tmp_path / "out" / "config.json").read_text())
+    for name in ("perturbation", "replays", "cloths"):
+        del config["settings"][name]
+    (tmp_path / "out" / "config.json").write_text(json.dumps(config))
+    assert hardened(student, tmp_path / "out", resume=True, steps=1).step == 1
+    with pytest.raises(InputError, match="begun with other --cloths"):
+        hardened(student, tmp_path / "out", resume=True, steps=1, cloths=0.5)
+
+
 def test_cloaked_images_count_as_much_as_asked_in_the_last_fifth(student: Student, tmp_path: Path) -> None:
     hardened(student, tmp_path / "out", steps=5, cloaked_weight=3.0)
     told = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
@@ -143,8 +171,13 @@ def test_the_learning_rate_falls_twice() -> None:
 
 
 def test_what_cannot_be_trained_is_refused_in_one_line() -> None:
-    with pytest.raises(InputError, match="cannot train 'python', only builtin, darknet, torchvision and ultralytics"):
-        open_student("python:d2go.py:load")
+    words = (
+        r"cannot train 'openvino', only builtin, darknet, onnx, python, torchvision and ultralytics; harden the weights"
+    )
+    with pytest.raises(InputError, match=words):
+        open_student("openvino:net.xml")
+    with pytest.raises(InputError, match=r"names no family; onnx:net.onnx\?"):
+        open_student("net.onnx")
     with pytest.raises(InputError, match="cannot train 'jpeg=75', only builtin"):
         open_student("jpeg=75:builtin")
 
@@ -379,3 +412,46 @@ def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_pa
     assert again.precision == "float32"
     assert all(p.dtype == torch.float32 and bool(p.isfinite().all()) for p in again.parameters())
     assert not torch.equal(again(images(1)).scores, load_detector(student.spec)(images(1)).scores)
+
+
+def test_cloths_that_repeat_are_among_the_cloaks_beside_the_same_clean_images(student: Student) -> None:
+    settings = HardenSettings(**(FEW | {"cloths": 1.0}))
+    pool, plain = (
+        Pool(one, box_bodies(), noise_backgrounds(), student.detector)
+        for one in (settings, replace(settings, cloths=0.0))
+    )
+    cloak = pool.cloak(0)
+    assert 0.2 <= cloak.worn.cloth.cloth.metres <= 0.55 and plain.cloak(0).worn.cloth is None
+    pair, other = pool.pair(0), plain.pair(0)
+    assert torch.equal(pair.clean, other.clean) and not torch.equal(pair.cloaked, other.cloaked)
+    before = cloak.optimizer.colors().detach().clone()
+    pool.attack(0)
+    assert not torch.equal(cloak.optimizer.colors(), before)
+    assert cloak.face_colors().shape == (len(cloak.logo), 3) and cloak.texture().shape == (3, TEXTURE, TEXTURE)
+    again = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
+    again.load(1, pool.state())
+    assert torch.equal(again.cloak(0).optimizer.colors(), cloak.optimizer.colors())
+    for turn in range(1, 5):  # a life is over: the faces remember what lay on them
+        pool.attack(turn)
+    assert pool.skins[0].shape == (box_bodies().face_count, 3)
+
+
+def test_a_perturbation_moves_images_in_cloaks_within_its_bound_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update, seen = Hardening._update, []
+
+    def recorded(self: Hardening, images: torch.Tensor, wanted: object, count: int, kept: int) -> torch.Tensor:
+        seen.append(images.detach().clone())
+        return update(self, images, wanted, count, kept)
+
+    monkeypatch.setattr(Hardening, "_update", recorded)
+    spec = write_tiny(tmp_path)
+    hardened(open_student(spec), tmp_path / "plain", steps=1)
+    hardened(open_student(spec), tmp_path / "moved", steps=1, perturbation=0.02, replays=3)
+    plain, *moved = seen
+    assert len(moved) == 3
+    for shown, earlier in zip(moved, [plain, *moved], strict=False):
+        away = (shown[:2] - plain[:2]).abs()
+        assert 0.005 < float(away.mean()) and float(away.max()) <= 0.02 + 1e-6
+        assert not torch.equal(shown[:2], earlier[:2]) and torch.equal(shown[2:], plain[2:])

@@ -1,0 +1,182 @@
+"""Weights of a converted graph that can be trained, and written back into the file that they came from.
+
+The file's own graph stays: whatever ran the old file runs the new one, as fast. A weight is an initializer (or a
+Constant node); its uses are the places of the torch graph that hold a copy of it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Shaped
+from torch import Tensor, fx, nn
+
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    import onnx
+
+KERNELS = {"Conv": 1, "ConvTranspose": 1, "Gemm": 1}
+"""Which input of an operator is its weight; its bias is the next."""
+NORMALISES = "BatchNormalization"
+
+
+class NotTrainable(InputError):
+    """Says why the weights of a file cannot be trained."""
+
+
+@dataclass(frozen=True)
+class Use:
+    """One place where the torch graph holds a weight of the file."""
+
+    module: str
+    attribute: str
+    transposed: bool = False
+    scale: float = 1.0
+    """The graph holds the file's values times this."""
+
+
+class TrainableWeights:
+    """The weights of a converted graph that are trained, as parameters; all other tensors become buffers.
+
+    Trained are kernels and biases of convolutions and linear layers, and scale and shift of batch norm. A weight stays
+    as it is where anything else in the graph reads it too, or where it is a kernel of whole numbers alone: that is
+    arithmetic (the expectation over distances in YOLOv8's head, a cut, a sum), not learned.
+
+    graph: from `to_torch` with fold=False, changed in place. model: what it was converted from. original: the file as
+    it is, in which weights may have another name for each use (Identity) and half precision.
+    """
+
+    def __init__(self, graph: fx.GraphModule, model: onnx.ModelProto, original: onnx.ModelProto) -> None:
+        self._owners = _owners(original.graph)
+        uses = self._uses(graph, model)
+        reads = Counter(self._owners.get(name, name) for name in _reads(original.graph))
+        self.uses: dict[str, Use] = {}
+        self.parameters: dict[str, nn.Parameter] = {}
+        """By the name of the initializer, or of the output of the Constant node."""
+        self._before: dict[str, Tensor] = {}
+        for name, places in uses.items():
+            if reads[name] == len(places) and len({(use.transposed, use.scale) for use in places}) == 1:
+                self._tie(graph, name, places)
+        self.chooses = next((node.name or node.op_type for node in model.graph.node if node.op_type == "TopK"), "")
+        """Name of a node that chooses the best of its input, so that outputs stand in no order; "" for none."""
+        trained = set(map(id, self.parameters.values()))
+        for module in graph.modules():
+            for attribute, parameter in list(module._parameters.items()):
+                if parameter is not None and id(parameter) not in trained:
+                    delattr(module, attribute)
+                    module.register_buffer(attribute, parameter.detach())
+
+    def write_into(self, original: onnx.ModelProto) -> None:
+        """Write the weights that have changed into the file's graph, in place, in the precision that they have there.
+
+        What has not changed stays to the bit.
+        """
+        from onnx import numpy_helper
+
+        tensors = _tensors(original.graph)
+        for name, parameter in self.parameters.items():
+            if torch.equal(parameter.detach(), self._before[name]):
+                continue
+            use, tensor = self.uses[name], tensors[name]
+            values = parameter.detach().cpu() / use.scale
+            values = (values.T if use.transposed else values).numpy()
+            kind = numpy_helper.to_array(tensor).dtype
+            values = np.ascontiguousarray(values).astype(kind)
+            tensor.CopyFrom(numpy_helper.from_array(values, tensor.name))
+
+    def _tie(self, graph: fx.GraphModule, name: str, places: list[Use]) -> None:
+        """Let all places that hold copies of a weight hold one parameter."""
+        value = getattr(graph.get_submodule(places[0].module), places[0].attribute)
+        parameter = nn.Parameter(value.detach(), requires_grad=False)
+        for use in places:
+            module = graph.get_submodule(use.module)
+            delattr(module, use.attribute)
+            module.register_parameter(use.attribute, parameter)
+        self.uses[name] = places[0]
+        self.parameters[name] = parameter
+        self._before[name] = parameter.detach().clone()
+
+    def _uses(self, graph: fx.GraphModule, model: onnx.ModelProto) -> Mapping[str, list[Use]]:
+        """Find where the torch graph holds which weight that can be trained."""
+        from onnx2torch.onnx_graph import OnnxGraph
+
+        arguments = {node.target: node.args for node in graph.graph.nodes if node.op == "call_module"}
+        kinds = {output: node.op_type for node in model.graph.node for output in node.output}
+        file, found = OnnxGraph(model.graph), defaultdict(list)
+        for path, node in file.nodes.items():
+            if path not in arguments:
+                continue  # replaced by something plainer, which has no weights
+            for position, use in _places(node, graph.get_submodule(path), path, arguments[path], kinds):
+                name = node.input_values[position]
+                if name in file.initializers and _is_learned(file.initializers[name].to_numpy()):
+                    found[self._owners.get(name, name)].append(use)
+        return found
+
+
+def _places(
+    node: object, module: nn.Module, path: str, arguments: tuple, kinds: Mapping[str, str]
+) -> Iterator[tuple[int, Use]]:
+    """Yield which inputs of an ONNX node are weights, and where its torch module holds them."""
+    operation, inputs = node.operation_type, node.input_values
+    kernel = KERNELS.get(operation)
+    inner = module[-1] if isinstance(module, nn.Sequential) else module  # an uneven padding before a convolution
+    place = f"{path}.{len(module) - 1}" if isinstance(module, nn.Sequential) else path
+    if kernel is not None and isinstance(getattr(inner, "weight", None), nn.Parameter):
+        linear = operation == "Gemm"
+        alpha = float(node.attributes.get("alpha", 1.0)) if linear else 1.0
+        beta = float(node.attributes.get("beta", 1.0)) if linear else 1.0
+        yield kernel, Use(place, "weight", linear and not node.attributes.get("transB", 0), alpha)
+        if len(inputs) > kernel + 1 and inputs[kernel + 1]:
+            yield kernel + 1, Use(place, "bias", scale=beta)
+    elif operation == NORMALISES and isinstance(getattr(inner, "weight", None), nn.Parameter):
+        yield 1, Use(place, "weight")
+        yield 2, Use(place, "bias")
+    elif operation in ("MatMul", "Gemm") or (operation == "Add" and "MatMul" in map(kinds.get, inputs)):
+        for position, argument in enumerate(arguments):
+            if isinstance(argument, fx.Node) and argument.op == "get_attr":
+                owner, _, name = argument.target.rpartition(".")
+                yield position, Use(owner, name)
+
+
+def _is_learned(values: Shaped[np.ndarray, "*n"]) -> bool:
+    """Tell whether an array is one of fractions, or a vector: biases may begin as zeros, scales as ones."""
+    return np.issubdtype(values.dtype, np.floating) and (values.ndim == 1 or bool((values != np.round(values)).any()))
+
+
+def _reads(graph: onnx.GraphProto) -> Iterator[str]:
+    """Yield what every node reads, inner graphs included, but for nodes that only copy; and what the graph returns."""
+    for node in graph.node:
+        if node.op_type != "Identity":
+            yield from node.input
+        for attribute in node.attribute:
+            for inner in (attribute.g, *attribute.graphs):
+                yield from _reads(inner)
+    yield from (output.name for output in graph.output)
+
+
+def _owners(graph: onnx.GraphProto) -> dict[str, str]:
+    """By the name of a copy (Identity), the name of the weight that it is a copy of; nodes stand as they run."""
+    weights = {tensor.name for tensor in graph.initializer}
+    owners: dict[str, str] = {}
+    for node in graph.node:
+        if node.op_type == "Identity":
+            source = owners.get(node.input[0], node.input[0])
+            if source in weights:
+                owners[node.output[0]] = source
+    return owners
+
+
+def _tensors(graph: onnx.GraphProto) -> dict[str, onnx.TensorProto]:
+    """Weights of a graph by the names that nodes read them under."""
+    found = {tensor.name: tensor for tensor in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "Constant":
+            value = next((attribute.t for attribute in node.attribute if attribute.name == "value"), None)
+            found |= {} if value is None else {node.output[0]: value}
+    return found

@@ -1,0 +1,96 @@
+"""ONNX files as students: every box learns, and the trained weights go back into the file's own graph."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from cloak_core.detectors.classes import COCO, VOC, names_beside
+from cloak_core.detectors.onnx_family.detector import OnnxDetector
+from cloak_core.detectors.onnx_family.model_file import read_model, read_proto
+from cloak_core.detectors.onnx_family.weights import NotTrainable
+from cloak_core.detectors.pixels import fit
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_bytes
+from cloak_core.files.writing import write_bytes, write_text
+from cloak_core.studies.hardening.answers import Answer
+from cloak_core.studies.hardening.scores import answer_of, score_distance
+from cloak_core.studies.hardening.student import Student
+
+
+class OnnxStudent(Student):
+    """A converted graph whose boxes stand in an order that its weights do not change.
+
+    Normalisations that the file has folded into its convolutions stay folded and learn with them. InputError: nothing
+    in the file can be trained, or the graph itself chooses boxes.
+    """
+
+    files = (".onnx",)
+    detector: OnnxDetector
+    teacher: OnnxDetector
+
+    def __init__(self, detector: OnnxDetector, teacher: OnnxDetector, spec: str) -> None:
+        super().__init__(detector, teacher, spec)
+        if not detector.weights.parameters:
+            raise NotTrainable(
+                f"{detector.path}: has no weights of convolutions or linear layers that could be trained"
+            )
+        if detector.weights.chooses:
+            node = detector.weights.chooses
+            raise NotTrainable(
+                f"{detector.path}: its graph chooses boxes itself (node {node}), which stand in no order"
+            )
+
+    @property
+    def network(self) -> nn.Module:
+        return self.detector.network
+
+    def answer(self, detector: OnnxDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
+        """Read every box of a detector's outputs: scores of all classes, as its runtimes report them."""
+        inputs, _ = fit(images, detector.input_size, detector.letterbox, detector.fill)
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16"):
+            decoded = detector.answer(detector.pixels.apply(inputs))
+        scores = decoded.classes
+        if decoded.objectness is not None:
+            scores = scores * decoded.objectness[..., None]
+        return answer_of(scores, decoded.boxes)
+
+    @torch.no_grad()
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Answer:
+        return self.answer(self.teacher, images).of(rows)
+
+    def distance(
+        self,
+        images: Float[Tensor, "B 3 H W"],
+        wanted: Answer,
+        surer: Bool[Tensor, B] | None = None,
+        sure: float = 0.0,
+    ) -> Float[Tensor, B]:
+        own = self.detector
+        return score_distance(self.answer(own, images), wanted, own.person, own.operating_point, surer, sure)
+
+    def save(self, stem: Path, seen: int) -> str:
+        """See `Student.save`. InputError: the file that was begun with is there no more, or has changed."""
+        path, target = self.detector.path, stem.with_suffix(".onnx")
+        original, digest = read_proto(path)
+        if digest != self.teacher.source["file"]:
+            raise InputError(f"{path}: changed since it was loaded; the hardened weights are in the checkpoint")
+        self.detector.weights.write_into(original)
+        write_bytes(target, original.SerializeToString())
+        self._copy_description(target)
+        layout = ":".join(self.request.parts[1:])
+        return f"onnx:{target}{layout and f':{layout}'}{self.options}"
+
+    def _copy_description(self, target: Path) -> None:
+        """Write beside the new file what was said beside the old one: a description, or names of classes."""
+        file, described = read_model(self.detector.path), self.detector.path.with_suffix(".json")
+        if described.is_file():
+            write_bytes(target.with_suffix(".json"), read_bytes(described))
+        names = self.detector.class_names
+        if names and not file.names and not file.described.names:
+            beside = names_beside(self.detector.path, len(names))
+            if beside == names and names not in (COCO, VOC):
+                write_text(target.with_suffix(".names"), "\n".join(names) + "\n")

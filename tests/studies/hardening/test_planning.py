@@ -1,0 +1,123 @@
+"""Hours become counts before a hardening begins, and backgrounds that show people are told before it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cloak_core.commands.harden import Harden
+from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.hardening.places import check_places, people_among
+from cloak_core.studies.hardening.planning import Pace, measure_pace, plan, planned_words
+from cloak_core.studies.hardening.pool import FINISH
+from cloak_core.studies.hardening.settings import HardenSettings
+from cloak_core.studies.hardening.students import open_student
+from tests.core.fakes import box_bodies, noise_backgrounds
+from tests.detectors.helpers import write_tiny
+
+FEW = {"batch": 2, "pictures": 1, "decoys": 1, "cloaks": 2, "life": 2, "attack_steps": 1, "size": 64}
+
+
+def test_a_plan_fills_its_hours_and_keeps_first_cloaks_to_a_fifth() -> None:
+    pace = Pace(update=2.0, cloak_step=0.5)
+    for hours in (0.2, 1.0, 8.0):
+        settings = plan(HardenSettings(), pace, hours)
+        seconds = settings.steps * 2.0 + settings.finished * FINISH * 0.5
+        assert 0.94 * 3600 * hours - 2 < seconds <= 0.95 * 3600 * hours
+        assert settings.finished * FINISH * 0.5 <= 0.2 * 0.95 * 3600 * hours
+    assert plan(HardenSettings(), pace, 8.0).finished == HardenSettings.finished
+    assert plan(HardenSettings(), pace, 0.2).finished == 1
+    assert plan(HardenSettings(decoys=0), pace, 8.0).finished == 0
+    words = planned_words(plan(HardenSettings(), pace, 8.0), pace, 8.0)
+    assert words == "--hours 8: 4 cloaks trained first (8 min), then 13440 updates of 2 s (448 min)"
+    with pytest.raises(
+        InputError, match=r"--hours 0.01: 17 updates of 2 s fit, which hardens nothing; 50 take 0.029 h"
+    ):
+        plan(HardenSettings(), pace, 0.01)
+
+
+def test_the_pace_is_measured_and_the_student_is_as_before(tmp_path: Path) -> None:
+    student = open_student(write_tiny(tmp_path))
+    before = {name: value.clone() for name, value in student.network.state_dict().items()}
+    pace = measure_pace(HardenSettings(**FEW), student, box_bodies(), noise_backgrounds())
+    assert pace.update > pace.cloak_step > 0
+    after = student.network.state_dict()
+    assert all(torch.equal(value, after[name]) for name, value in before.items())
+
+
+def test_hours_become_counts_in_the_record_and_a_resumed_hardening_keeps_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr("cloak_core.commands.harden.load_scene", lambda _: box_bodies())
+    monkeypatch.setattr("cloak_core.studies.hardening.planning.LEAST_STEPS", 1)
+    monkeypatch.setattr("cloak_core.studies.hardening.planning.measure_pace", lambda *_, **__: Pace(100.0, 1.0))
+    command = Harden(
+        spec=write_tiny(tmp_path),
+        out=tmp_path / "out",
+        backgrounds="procedural:train:2",
+        assess=False,
+        settings=HardenSettings(**FEW),
+        hours=0.1,
+    )
+    told = command.run()
+    assert (told["step"], told["steps"]) == (3, 3)
+    assert "--hours 0.1: 0 cloaks trained first (0 min), then 3 updates of 1e+02 s (5 min)" in capsys.readouterr().out
+    recorded = json.loads((tmp_path / "out" / "config.json").read_text())["settings"]
+    assert (recorded["steps"], recorded["finished"]) == (3, 0)
+    command.resume, command.hours = True, 5.0
+    assert command.run()["steps"] == 3
+
+
+@pytest.mark.parametrize("hours", [0.0, -1.0, float("nan"), float("inf")])
+def test_hours_that_are_none_are_refused(hours: float, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--hours .*: is not in"):
+        Harden(spec="builtin", out=tmp_path / "out", hours=hours).run()
+
+
+class Brightness(Detector):
+    """Takes every bright picture for a person."""
+
+    def detect(self, images: torch.Tensor) -> Detections:
+        return Detections(torch.zeros(len(images), 1, 4), images.mean((1, 2, 3))[:, None])
+
+
+def pictures(folder: Path, bright: int, dark: int) -> Path:
+    folder.mkdir()
+    for number in range(bright + dark):
+        shade = np.full((40, 40, 3), 230 if number < bright else 20, np.uint8)
+        Image.fromarray(shade).save(folder / f"p{number:02d}.png")
+    return folder
+
+
+def test_a_folder_of_people_among_backgrounds_is_refused_and_a_few_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    detector = Brightness("brightness", "brightness")
+    few = load_backgrounds(pictures(tmp_path / "few", 1, 10))
+    assert people_among(few, detector, 64) == ["p00.png"]
+    with caplog.at_level(logging.WARNING):
+        check_places(few, detector, 64, "few")
+    assert [r.getMessage() for r in caplog.records] == [
+        "few: somebody is in 1 of 11 backgrounds (p00.png), says the detector; take out those that show people"
+    ]
+    many = load_backgrounds(pictures(tmp_path / "many", 7, 3))
+    words = r"many: somebody is in 7 of 10 backgrounds \(p00.png, p01.png, p02.png, p03.png, p04.png, ...\); back"
+    with pytest.raises(InputError, match=words):
+        check_places(many, detector, 64, "many")
+
+
+def test_the_command_asks_before_it_trains(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cloak_core.commands.harden.load_scene", lambda _: box_bodies())
+    monkeypatch.setattr("cloak_core.studies.hardening.places.people_among", lambda backgrounds, *_: backgrounds.names)
+    folder = pictures(tmp_path / "places", 1, 1)
+    with pytest.raises(InputError, match="somebody is in 2 of 2 backgrounds"):
+        Harden(spec=write_tiny(tmp_path), out=tmp_path / "out", backgrounds=str(folder), assess=False).run()
+    assert not (tmp_path / "out").exists()
