@@ -248,7 +248,7 @@ def wear(
     return wear_and_judge(colors, *judging, scenes, None if out is None else Path(out), settings, on_progress, more)
 
 
-def _fitted(people: People | Named | None) -> list[Fit]:
+def _fitted(people: People | Named | None) -> Sequence[Fit]:
     """Fit bodies to the people, or find them in the cache."""
     if people is None:
         return []

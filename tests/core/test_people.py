@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core.core.detector.outcomes import only_hers
 from cloak_core.core.detector.protocol import Detections
@@ -21,6 +20,7 @@ from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.source import PeopleSource, draw_framing
 from cloak_core.studies.trainings.training import train
 from tests.core.fakes import RedDetector, noise_backgrounds
+from tests.sources.photographs.made_people import write_people
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core import cli
 from cloak_core.core.detector.outcomes import OnBody, on_body, share_within
@@ -19,6 +18,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.studies.clean import certified_recall
 from tests.detectors.helpers import write_tiny
+from tests.sources.photographs.made_people import write_people
 
 SIZE, WINDOW, PATCH = 20, 4, 3
 BODY = (4.0, 4.0, 16.0, 16.0)

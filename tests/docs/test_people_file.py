@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.sources.bodies.photographs.made_people import annotation, photograph, standing
 from torch import nn
 
 from cloak_core.sources.photographs.people import load_people
+from tests.sources.photographs.made_people import annotation, photograph, standing
 
 pytestmark = pytest.mark.slow
 FILE = Path(__file__).parents[2] / "examples" / "people_file.py"

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core.commands.evaluate import Evaluate
 from cloak_core.core.detector.protocol import Detections, detector_record
@@ -29,6 +28,7 @@ from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny
 from tests.schemas import validate
+from tests.sources.photographs.made_people import write_people
 
 pytestmark = pytest.mark.slow
 HOW = {"size": 128, "bare": 2, "resamples": 100, "backgrounds": "procedural:test:2"}

@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
-from cloak_core.studies.grids import read_grid
 
 from cloak_core import library
 from cloak_core.cli import main
 from cloak_core.detectors.loading import check_recorded
 from cloak_core.files.errors import InputError
+from cloak_core.studies.grids import read_grid
 from cloak_core.studies.zoo_reproduction import Files, evaluate_again
 from cloak_core.zoo.entry import Entry, entry
 

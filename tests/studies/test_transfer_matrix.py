@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core.cli import load
 from cloak_core.commands import parsing
@@ -36,6 +35,7 @@ from cloak_core.studies.transfer import (
     show,
     summary,
 )
+from tests.sources.photographs.made_people import write_people
 from tests.studies.made_split import Glow
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.core.detector.protocol import Detections
@@ -30,6 +29,7 @@ from cloak_core.studies.wearing.widths import WIDTHS
 from cloak_core.zoo.entry import entry
 from tests.core.fakes import RedDetector
 from tests.schemas import validate
+from tests.sources.photographs.made_people import write_people
 
 pytestmark = pytest.mark.slow
 SMALL = WearSettings(size=96, bare=2)

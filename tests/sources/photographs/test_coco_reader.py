@@ -7,11 +7,11 @@ import random
 from pathlib import Path
 
 import pytest
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
+from tests.sources.photographs.made_people import write_people
 
 HOSTILE = (
     "text", "", "7", [], [1], {}, {"id": 1}, None, True,

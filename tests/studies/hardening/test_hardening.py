@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.sources.bodies.photographs.made_people import write_people
 
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.harden import Harden
@@ -35,6 +34,7 @@ from cloak_core.studies.hardening.students import open_student
 from tests.core.fakes import box_bodies, front_logo, noise_backgrounds
 from tests.detectors.helpers import images, write_tiny
 from tests.schemas import validate
+from tests.sources.photographs.made_people import write_people
 
 FEW = {
     "steps": 4,
