@@ -262,7 +262,7 @@ def _stopping(on_event: OnEvent, out: Path) -> OnEvent:
     return listener
 
 
-def _fitted(people: People | Named | None) -> list[Fit]:
+def _fitted(people: People | Named | None) -> Sequence[Fit]:
     """Fit bodies to the people, or find them in the cache."""
     if people is None:
         return []

@@ -14,7 +14,7 @@ MAY_IMPORT = {
     "exchange": {"files"},
     "core": {"files", "exchange"},
     "zoo": {"files", "exchange", "core"},
-    "sources": {"files", "exchange", "core"},
+    "sources": {"files", "jobs", "exchange", "core"},
     "detectors": {"files", "exchange", "core", "sources"},
     "techniques": {"files", "exchange", "core", "sources", "zoo"},
     "studies": {"files", "jobs", "exchange", "core", "zoo", "sources", "detectors"},

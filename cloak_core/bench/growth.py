@@ -1,7 +1,8 @@
-"""`cloak bench growth`: how time and memory grow with triangles, views, pixels and samples.
+"""`cloak bench growth`: how time and memory grow with what there is of something.
 
-Each series multiplies one quantity and leaves the others at the paper's setting (about 55,000 triangles, one view,
-416 x 416) and at the default way to measure coverage; the series of samples counts them. The exponent is the slope of
+Each series multiplies one quantity. Triangles, views, pixels and samples leave the others at the paper's setting (about
+55,000 triangles, one view, 416 x 416) and at the default way to measure coverage; the series of samples counts them.
+People, detectors and squares of a cloth are measured in training (`growth_training`). The exponent is the slope of
 log(time) over log(quantity), fitted to the last three points, where fixed costs have faded. Times are medians of three,
 one run from 64 views on. Views are kept, as training keeps them, within the budget. Memory is what a fresh process for
 each point held at most, and how much of that came with building (Linux only).
@@ -22,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from cloak_core.bench.growth_training import grow_people, grow_step
 from cloak_core.bench.records import circumstances, table, with_earlier, write_record
 from cloak_core.bench.views import machine
 from cloak_core.core.cameras import Camera
@@ -38,6 +40,9 @@ _SIZES = {
     "views": (1, 4, 16, 64, 256, 512),
     "pixels": (208, 416, 832, 1664),
     "samples": (1, 4, 16, 64),
+    "detectors": (1, 2, 4, 8, 16),
+    "squares": (100, 400, 1_600, 6_400, 25_600),
+    "people": (100, 300, 1_000, 3_000, 10_000),
 }
 
 
@@ -49,6 +54,11 @@ class Work:
     views: int = 1
     side: int = 416
     samples: int | None = None
+    detectors: int | None = None
+    squares: int | None = None
+    people: int | None = None
+    source: tuple[str, Path | None] | None = None
+    """COCO file of the people that others are made of, and the folder of their photographs."""
 
     @property
     def camera(self) -> Camera:
@@ -61,22 +71,31 @@ def run_bench_growth(
     quick: bool = False,
     only: tuple[str, ...] = (),
     out: str | os.PathLike | None = None,
+    people: tuple[str, Path | None] | None = None,
+    most: int | None = None,
     tell: Tell = _log.info,
 ) -> dict:
     """Times, peaks and exponents of every series, or of `only` some; `tell` hears of each that is done.
 
-    memory: bytes for kept views; quick: leave out the largest sizes. With `out`, also a table and the JSON in that
-    folder, after each series; series measured there earlier stay beside these.
+    memory: bytes for kept views; quick: leave out the largest sizes, as `most` does those above it; people: a COCO
+    file, and its photographs' folder, of whom the people of that series are made. With `out`, also a table and the JSON
+    in that folder, after each series; series measured there earlier stay beside these.
     """
     if unknown := [name for name in only if name not in _SIZES]:
         raise InputError(f"growth: no series '{unknown[0]}'; there are {', '.join(_SIZES)}")
     if threads < 1 or memory < 1:
         raise InputError(f"growth: {threads} threads, {memory} bytes: at least 1 each")
+    if "people" in only and people is None:
+        raise InputError("growth: --only people needs --people, of whom others are made")
     series = {}
-    for quantity in only or _SIZES:
+    for quantity in only or (name for name in _SIZES if name != "people" or people):
         field = "side" if quantity == "pixels" else quantity
         sizes = _SIZES[quantity][: max(3, len(_SIZES[quantity]) - 2)] if quick else _SIZES[quantity]
-        points = [_measured(replace(Work(), **{field: size}), size, threads, memory) for size in sizes]
+        sizes = [size for size in sizes if most is None or size <= most]
+        if len(sizes) < 2:
+            raise InputError(f"growth: --most {most} leaves fewer than two sizes of {quantity}, from {sizes or 'none'}")
+        work = Work(source=people)
+        points = [_measured(replace(work, **{field: size}), size, threads, memory) for size in sizes]
         fitted = exponents(points, 2 if quantity == "pixels" else 1)
         series[quantity] = {**fitted, "points": points, "threads": threads, "memory": memory, "machine": machine()}
         result = _result(series) if out is None else write_report(series, Path(out))
@@ -111,14 +130,22 @@ def tables(result: dict) -> str:
         slopes = f"time ∝ size^{record['exponent']:.2f}, memory ∝ size^{record['memory_exponent']:.2f}"
         lines += ["", f"### {name}: {slopes}", ""]
         lines += [f"{circumstances(record)}; budget for kept views {record['memory'] / 2**30:.3g} GiB.", ""]
+        more = [key for key in record["points"][0] if key not in ("size", "seconds", "working_mib", "peak_mib")]
         lines += table(
-            [heading, "seconds", "held while building, MiB", "peak of the process, MiB"],
+            [heading, "seconds", "held while building, MiB", "peak of the process, MiB", *map(_words, more)],
             [
                 [f"{p['size']:,}", f"{p['seconds']:.3f}", f"{p['working_mib']:.0f}", f"{p['peak_mib']:.0f}"]
+                + [f"{p[key]:.4g}" for key in more]
                 for p in record["points"]
             ],
         )
     return "\n".join(lines[1:]) + "\n"
+
+
+def _words(key: str) -> str:
+    """Head a column of further figures: step_ms becomes "step, ms"."""
+    name, _, unit = key.rpartition("_")
+    return f"{name.replace('_', ' ')}, {unit}"
 
 
 def _measured(work: Work, size: int, threads: int, memory: int) -> dict:
@@ -152,6 +179,8 @@ def sphere(triangles: int, radius: float = 0.9) -> Bodies:
 
 def _run(work: Work, threads: int, memory: int) -> dict:
     torch.set_num_threads(threads)
+    if work.people or work.detectors or work.squares:
+        return _in_training(work)
     bodies = sphere(work.triangles)
     keys = [(0, replace(work.camera, azimuth=360.0 * i / work.views)) for i in range(work.views)]
     _build(_ready(sphere(1000), work, keys[:1], memory), keys[:1])  # what is done once for each process
@@ -163,6 +192,18 @@ def _run(work: Work, threads: int, memory: int) -> dict:
     for _ in range(2 if work.views < 64 else 0):
         times.append(_build(_ready(bodies, work, keys, memory), keys))
     return {"seconds": float(np.median(times)), "working_mib": max(peak - before, 1.0), "peak_mib": peak}
+
+
+def _in_training(work: Work) -> dict:
+    """Measure a point of a series of training: "seconds" and further figures."""
+    before = _memory("VmRSS")
+    _forget_peak()
+    if work.people:
+        figures = grow_people(work.people, *work.source)
+    else:
+        figures = grow_step(work.detectors or 1, work.squares)
+    peak = _memory("VmHWM")
+    return {"seconds": figures.pop("seconds"), "working_mib": max(peak - before, 1.0), "peak_mib": peak} | figures
 
 
 def _ready(bodies: Bodies, work: Work, keys: list, memory: int) -> ViewCache:

@@ -38,6 +38,8 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
+from cloak_core.sources.photographs.fits import Fits
+from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.trainings.material import TrainingData
 from cloak_core.studies.trainings.training import make_material
 
@@ -52,6 +54,7 @@ def run_bench_step(
     *,
     logo_faces: np.ndarray | None = None,
     settings: TrainSettings | None = None,
+    people: Sequence[Fit] = (),
     threads: int = 2,
     repeats: int = 20,
 ) -> dict:
@@ -64,15 +67,15 @@ def run_bench_step(
     way into the images and its gradient's way back, "update" the optimiser with total variation and the event; "rest"
     is what they leave of step - floor: negative where a batch is built beside the detector, positive where both fight
     for cores and caches. `settings` (default: preset best, batch 8) decide batch, size, device and views; with a range
-    of distances every image pays for a view of its own. Logo: chest and thighs unless given.
+    of distances, and with `people` in photographs (default: preset photographs, which trains a cloth), every image pays
+    for a view of its own. Logo: chest and thighs unless given; with people shirt and trousers.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
-    settings = settings or make_settings("best")
-    settings = settings.changed(epochs=None, steps=1_000_000)
+    settings = settings or make_settings("photographs" if people else "best")
     with torch_threads(threads):
-        bench = _Bench(bodies, logo_faces, backgrounds, settings)
-        return {detector.spec: bench.measure(detector, repeats) for detector in detectors} | {
+        bench = Bench(bodies, logo_faces, backgrounds, settings, people)
+        return {detector.spec: bench.measure([detector], repeats) for detector in detectors} | {
             "threads": threads,
             "machine": machine(settings.compute.device),
         }
@@ -94,28 +97,40 @@ def step_table(result: dict) -> str:
     return "\n".join(cells) + f"\n\n{place}; {result['threads']} threads.\n"
 
 
-class _Bench:
+class Bench:
+    """A training whose steps are timed beside their floor."""
+
     def __init__(
-        self, bodies: Bodies, logo_faces: np.ndarray | None, backgrounds: Backgrounds, settings: TrainSettings
+        self,
+        bodies: Bodies,
+        logo_faces: np.ndarray | None,
+        backgrounds: Backgrounds,
+        settings: TrainSettings,
+        people: Sequence[Fit] = (),
     ) -> None:
-        self.settings = settings
+        """Make its views; arguments as `run_bench_step` has them."""
+        self.settings = settings = settings.changed(epochs=None, steps=1_000_000)
         self.device = torch.device(settings.compute.device)
-        faces = chest_and_thighs(bodies) if logo_faces is None else logo_faces
-        self.logo = make_logo(bodies, faces)
-        self.worn = Worn(bodies, self.logo)
+        if logo_faces is None:
+            logo_faces = _clothes(bodies) if people else chest_and_thighs(bodies)
+        self.logo = make_logo(bodies, logo_faces)
+        self.worn = Worn.of(settings.pattern, bodies, self.logo)
         self.plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
-        material = make_material(settings, TrainingData(bodies, backgrounds), self.worn, self.device)
+        data = TrainingData(bodies, backgrounds, Fits.of(people))
+        material = make_material(settings, data, self.worn, self.device)
+        self.is_fresh = material.source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
         techniques = Techniques.built(Setup(settings, self.worn, [], self.device))
         self.batcher = make_batcher(settings, material, self.worn, self.device, techniques)
         # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
         for number in range(self._warm_up_steps()):
             self.batcher.batch(number)
 
-    def measure(self, detector: Detector, repeats: int) -> dict:
+    def measure(self, detectors: Sequence[Detector], repeats: int) -> dict:
+        """Time steps against these detectors together, and their floor: each alone on the ready batch."""
         settings = self.settings
-        techniques = Techniques.built(Setup(settings, self.worn, [detector], self.device))
-        objective = Objective(settings, self.logo, [detector], self.device, techniques)
-        grey = torch.full((len(self.logo), 3), 0.5, device=self.device)
+        techniques = Techniques.built(Setup(settings, self.worn, detectors, self.device))
+        objective = Objective(settings, self.logo, detectors, self.device, techniques)
+        grey = torch.full((self.worn.color_count, 3), 0.5, device=self.device)
         optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.worn)
         ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
         upstream = torch.zeros_like(ready)
@@ -123,7 +138,8 @@ class _Bench:
 
         def floor() -> None:
             ready.grad = None
-            disappearance(detector(ready), settings.objective.loss).backward()
+            for detector in detectors:
+                disappearance(detector(ready), settings.objective.loss).backward()
 
         def step(number: int) -> None:
             figures = gradient_step(objective, optimizer, prefetcher.batch(number)).figures
@@ -153,16 +169,21 @@ class _Bench:
                 clock.time("update", update)
                 batches.clear()
         prefetcher.close()
-        views = "fresh" if self.plan.is_fresh else "kept"
-        return (
-            {"name": detector.name} | clock.record(settings.run.batch) | {"views": views, "logo_faces": len(self.logo)}
-        )
+        views = "fresh" if self.is_fresh else "kept"
+        record = {"name": " + ".join(dict.fromkeys(detector.name for detector in detectors))}
+        record |= clock.record(settings.run.batch) | {"views": views, "logo_faces": len(self.logo)}
+        return record | {"colors": self.worn.color_count}
 
     def _warm_up_steps(self) -> int:
         views = self.plan.members * self.plan.directions * self.plan.outfit_count
         # Drawn at random, all of n views are met after about n (ln n + 3) draws.
-        images = 0 if self.plan.is_fresh else views * (np.log(views) + 3)
+        images = 0 if self.is_fresh else views * (np.log(views) + 3)
         return int(np.ceil(images / self.settings.run.batch)) + 1
+
+
+def _clothes(bodies: Bodies) -> np.ndarray:
+    """Faces of shirt and trousers."""
+    return np.flatnonzero(bodies.regions["shirt"] | bodies.regions["trousers"]).astype(np.int64)
 
 
 class Clock:

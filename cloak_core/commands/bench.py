@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
@@ -13,6 +13,9 @@ from cloak_core.commands.base import Command, err, load_scene, out, require_new
 from cloak_core.commands.options import DetectorOptions, keep_freed_memory
 from cloak_core.core.settings.values import Range
 from cloak_core.files.writing import write_text
+
+if TYPE_CHECKING:
+    from cloak_core.sources.photographs.fitting import Fit
 
 
 @dataclass(kw_only=True)
@@ -81,6 +84,10 @@ class Step(Timed):
     """Detectors, each timed alone (default: builtin)."""
     scene: str = "sample:train"
     """Scene folder, .npz, or sample[:train]."""
+    people: str | None = None
+    """People in photographs as views, with a cloth (preset photographs), instead of the scene's bodies."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     backgrounds: str = "procedural:train"
     """Folder of images, or procedural[:train]."""
     batch: int = 8
@@ -99,19 +106,33 @@ class Step(Timed):
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 
         keep_freed_memory()
+        people = _fits(self.people, self.images)
         result = run_bench_step(
             load_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
             load_backgrounds(self.backgrounds),
             settings=make_settings(
-                "best", batch=self.batch, distance=self.distance, samples=self.samples, device=self.device
+                "photographs" if people else "best",
+                batch=self.batch,
+                distance=self.distance,
+                samples=self.samples,
+                device=self.device,
             ),
+            people=people,
             threads=self.threads,
             repeats=self.repeats,
         )
         if self.out is not None:
             write_text(self.out, step_table(result))
         return result
+
+
+def _fits(people: str | None, images: Path | None) -> Sequence[Fit]:
+    """Read people in photographs and fit them; nobody where none are named."""
+    from cloak_core.sources.photographs.fits import fit_people
+    from cloak_core.sources.photographs.people import load_people
+
+    return () if people is None else fit_people(load_people(people, images))
 
 
 @dataclass(kw_only=True)
@@ -235,7 +256,7 @@ class Accuracy(Bench):
 
 @dataclass(kw_only=True)
 class Growth(Bench):
-    """Measure how time and memory grow with triangles, views, pixels and samples.
+    """Measure how time and memory grow: triangles, views, pixels, samples, people, detectors, squares of a cloth.
 
     Exponents of at most 1.05 are the aim.
     """
@@ -243,7 +264,15 @@ class Growth(Bench):
     example = "--only triangles --quick"
 
     only: UseAppendAction[tuple[str, ...]] = ()
-    """Some of triangles, views, pixels, samples (default: all)."""
+    """Some of triangles, views, pixels, samples, detectors, squares, people (default: all, people where --people
+    names some)."""
+    people: str | None = None
+    """COCO file of people in photographs, of whom 100 to 10,000 others are made: mirrored, scaled, cropped,
+    recoloured."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
+    most: int | None = None
+    """Leave out larger sizes than this."""
     quick: bool = False
     """Leave out the largest sizes."""
     threads: int = 2
@@ -257,7 +286,9 @@ class Growth(Bench):
         from cloak_core.bench.growth import run_bench_growth
 
         memory = int(self.memory * 2**30)
-        return run_bench_growth(self.threads, memory, self.quick, only=self.only, out=self.out, tell=err.print)
+        people = None if self.people is None else (self.people, self.images)
+        more = {"only": self.only, "out": self.out, "people": people, "most": self.most}
+        return run_bench_growth(self.threads, memory, self.quick, tell=err.print, **more)
 
 
 @dataclass(kw_only=True)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .reading import open_regular
+from .reading import open_regular, read_ahead
 
 _CHECKSUM = 4
 _NEW = ".new-"
@@ -68,10 +68,10 @@ class DiskCache:
             os.utime(path)
         return np.asarray(data[:-_CHECKSUM])
 
-    def put(self, name: str, data: bytes) -> None:
-        """Keep some data. A full or read-only disk ends the keeping, with a warning."""
+    def put(self, name: str, data: bytes) -> bool:
+        """Keep some data, and tell whether it is kept. A full or read-only disk ends the keeping, with a warning."""
         if self._folder is None:
-            return
+            return False
         path = self._path(name)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,10 +88,16 @@ class DiskCache:
         except OSError as error:
             _log.warning("%s: %s are not kept (%s)", self._folder, self._what, error.strerror or error)
             self._folder = None
-            return
+            return False
         self._written += len(data)
         if self._written > self._limit // 8:
             self.trim()
+        return True
+
+    def expect(self, name: str) -> None:
+        """Have the system read a file's data ahead of need."""
+        if self._folder is not None:
+            read_ahead(self._path(name))
 
     def trim(self) -> None:
         """Remove the least recently used files beyond the limit, and what killed processes left among them."""

@@ -74,6 +74,20 @@ def read_bytes(path: str | os.PathLike, limit: int = MAX_BYTES) -> bytes:
         return file.read()
 
 
+def read_ahead(path: str | os.PathLike) -> None:
+    """Have the system read a file into its cache meanwhile, where it takes such advice."""
+    if not hasattr(os, "posix_fadvise"):
+        return
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:  # whoever reads it says so
+        return
+    try:
+        os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_WILLNEED)
+    finally:
+        os.close(handle)
+
+
 def read_text(path: str | os.PathLike, limit: int, errors: str = "strict") -> str:
     """All of a regular UTF-8 file of at most `limit` bytes."""
     try:
@@ -82,15 +96,15 @@ def read_text(path: str | os.PathLike, limit: int, errors: str = "strict") -> st
         raise InputError(f"{path}: not UTF-8 text ({first_line(error)})") from None
 
 
-def read_json(path: str | os.PathLike) -> dict:
+def read_json(path: str | os.PathLike, most_bytes: int = MAX_JSON_BYTES, most_values: int = MAX_JSON_VALUES) -> dict:
     """A JSON object from a file of bounded size."""
-    return parse_json(read_bytes(path, MAX_JSON_BYTES), str(path))
+    return parse_json(read_bytes(path, most_bytes), str(path), most_values)
 
 
-def parse_json(data: bytes, name: str) -> dict:
+def parse_json(data: bytes, name: str, most_values: int = MAX_JSON_VALUES) -> dict:
     """A JSON object, none of whose integers is beyond 64 bits. `name` tells where the data come from."""
-    if sum(map(data.count, (b",", b"[", b"{"))) > MAX_JSON_VALUES:
-        raise InputError(f"{name}: more values than any record taken here ({MAX_JSON_VALUES:,})")
+    if sum(map(data.count, (b",", b"[", b"{"))) > most_values:
+        raise InputError(f"{name}: more values than any record taken here ({most_values:,})")
     try:
         record = json.loads(data.decode("utf-8"))
         _check_integers(record)

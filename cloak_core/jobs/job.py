@@ -43,6 +43,11 @@ class Outcome:
     seconds: float = 0.0
     """It took, where it was done."""
 
+    def require(self) -> None:
+        """Require that the job returned. InputError: it ended with one."""
+        if self.error:
+            raise InputError(self.error)
+
 
 @runtime_checkable
 class Executor(Protocol):

@@ -27,8 +27,7 @@ from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json
-from cloak_core.sources.photographs.fits import fit_people, people_identity
-from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.fits import NOBODY, Fits, fit_people, people_identity
 from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.body_renderer import BodyRenderer
 from cloak_core.studies.cloaked import Cloaked
@@ -104,9 +103,9 @@ class RunStore(TrainingStore):
             return self.train_once(training, self.folder(training), changed)
 
     @cached_property
-    def _people(self) -> tuple[Fit, ...]:
+    def _people(self) -> Fits:
         """The split's people in photographs, fitted, to train on."""
-        return () if self.split.people is None else tuple(fit_people(self.split.people))
+        return NOBODY if self.split.people is None else fit_people(self.split.people)
 
     def untrained(
         self,

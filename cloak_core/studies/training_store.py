@@ -30,6 +30,7 @@ from cloak_core.files.identity import package_versions, sha256_arrays, sha256_re
 from cloak_core.files.locks import lock
 from cloak_core.files.writing import remove_leftovers, written
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.studies.trained_run import clocked, cpu_seconds, read_history
@@ -168,9 +169,9 @@ class TrainingStore:
         named = [recorded[name] for name in FILES]
         precisions = tuple((detector, detector.precision) for detector in training.detectors)
         material = (training.bodies, sha256_arrays(logo.face_ids), precisions, training.backgrounds)
-        place = (*material, tuple(training.people), *named, settings.pattern)
+        place = (*material, Fits.of(training.people).people, *named, settings.pattern)
         if place not in self._hashes:
-            data = TrainingData(training.bodies, training.backgrounds, tuple(training.people))
+            data = TrainingData(training.bodies, training.backgrounds, Fits.of(training.people))
             config = training_config(settings, data, logo, training.detectors)
             record = decisive(config) | {"settings": None}
             record["packages"] = [detector["packages"] for detector in config["detectors"]]

@@ -2,8 +2,13 @@ import pytest
 import torch
 
 from cloak_core.bench.step import run_bench_step, step_table
+from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import load_people
 from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
+from tests.sources.photographs.made_people import write_people
 
 
 def measure(**changes):
@@ -31,6 +36,17 @@ def test_the_record_holds_together(changes):
         assert row["batch"] == 3 and row["floor_ms"] > 0
         assert row["ratio"] == pytest.approx(row["step_ms"] / row["floor_ms"], rel=0.01)
         assert row["overhead_ms_per_image"] == pytest.approx((row["step_ms"] - row["floor_ms"]) / 3, abs=0.01)
+
+
+@pytest.mark.slow
+def test_people_in_photographs_are_fresh_views_with_a_cloth(tmp_path):
+    fits = fit_people(load_people(write_people(tmp_path, 1)))
+    settings = make_settings("photographs", batch=2, size=64)
+    one = run_bench_step(
+        load_scene("sample[0:1]"), [TinyDetector(0)], noise_backgrounds(), settings=settings, people=fits, repeats=2
+    )["tiny:0"]
+    assert one["views"] == "fresh" and one["batch"] == 2 and one["colors"] == 100 * 100
+    assert one["step_ms"] > one["floor_ms"]
 
 
 @pytest.mark.slow

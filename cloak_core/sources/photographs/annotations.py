@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 
 from cloak_core.files.errors import InputError
@@ -39,7 +40,7 @@ def people_by_image(record: dict, path: str) -> dict[str, list[dict]]:
     """
     is_person = _person_categories(record, path)
     by_image: dict[str, list[dict]] = {}
-    by_id: dict[int, str] = {}
+    by_id: dict[int, bytes] = {}
     for place, annotation in enumerate(table(record, "annotations", path), 1):
         annotation = annotation | {"id": _number(annotation, place, path)}
         category = annotation.get("category_id")
@@ -49,7 +50,7 @@ def people_by_image(record: dict, path: str) -> dict[str, list[dict]]:
             if not is_person[repr(category)]:
                 continue
         image = repr(annotation.get("image_id"))
-        content = f"{image} {description(annotation)}"
+        content = hashlib.blake2b(f"{image} {description(annotation)}".encode(), digest_size=16).digest()
         if by_id.setdefault(annotation["id"], content) != content:
             raise InputError(f"{path}: annotation {annotation['id']}: two different ones have this id")
         by_image.setdefault(image, []).append(annotation)

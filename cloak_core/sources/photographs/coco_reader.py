@@ -12,6 +12,9 @@ from cloak_core.files.reading import is_number, read_json
 from cloak_core.sources.photographs.landmarks import SEEN, Landmarks
 from cloak_core.sources.photographs.masks import MAX_SIDE
 
+MAX_COCO_BYTES = 1 << 29
+"""COCO's own keypoints of train2017 are half of it, with 262,465 annotations."""
+MAX_COCO_VALUES = 1 << 26
 MAX_NAME_BYTES = 255
 """Of a file's name, on every usual file system."""
 MAX_TEXT = 1000
@@ -28,7 +31,7 @@ def read_coco(path: str | os.PathLike) -> dict:
     or image, and the field: an id that is text, a list or NaN, a licence that is an object, a name longer than a file
     may have.
     """
-    record = read_json(path)
+    record = read_json(path, MAX_COCO_BYTES, MAX_COCO_VALUES)
     for name, fields in TABLES.items():
         table = record.get(name)
         if table is None and name not in REQUIRED:

@@ -1,50 +1,156 @@
-"""Fits of many people, kept on disk between runs."""
+"""Fits of many people, kept on disk and read when somebody is shown."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
-import numpy as np
-from safetensors.numpy import load, save
-
-from cloak_core.files.caching import DiskCache, cache_folder
+from cloak_core.files.caching import DiskCache, MemoryCache, cache_folder
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
+from cloak_core.jobs.job import Executor, Job, in_order
+from cloak_core.jobs.processes import Processes
+from cloak_core.sources.photographs.compact import pack_fit, read_quality, unpack_fit
 from cloak_core.sources.photographs.fitting import Fit, Fitter
-from cloak_core.sources.photographs.people import People, Person
+from cloak_core.sources.photographs.people import People
+from cloak_core.sources.photographs.person import Person
 
-VERSION = 1
-"""Raised by hand whenever fits of the same person come out differently."""
-LIMIT = 2 << 30
+VERSION = 2
+"""Raised by hand whenever fits of the same person come out differently.
+
+2: stored compactly (`compact`), which moves a pixel of a view by less than 0.001.
+"""
 LEAST_COVERED, MOST_SPILLED = 0.4, 0.6
 """Shares of the mask and of the body. Of 171 people in photographs, fits cover 0.61 to 0.92 and spill 0.01 to 0.44."""
-_STORED = tuple(field.name for field in fields(Fit) if field.name not in ("person", "quality", "scale"))
+LIMIT = 32 << 30
+"""Bytes of all fits: 200,000 people."""
+MEMORY_BYTES = 256 << 20
+"""Of fits that stay unpacked: a hundred people."""
+TOGETHER = 8
+"""People of one job."""
+ALONE = 2 * TOGETHER
+"""With fewer people to fit, starting processes takes longer than they save."""
 
 
-def fit_people(people: People, on_progress: Callable[[int, int], None] | None = None) -> list[Fit]:
+class Fits(Sequence[Fit]):
+    """Fitted people. Their fits are read when asked for; the last ones stay in memory."""
+
+    def __init__(self, people: Iterable[Person], read: Callable[[Person], Fit]) -> None:
+        """read: gives a person's fit."""
+        self.people, self._read = tuple(people), read
+
+    @staticmethod
+    def of(fits: Sequence[Fit]) -> Fits:
+        """Take fits that are in memory as they are; `Fits` stay what they are."""
+        if isinstance(fits, Fits):
+            return fits
+        held = {id(fit.person): fit for fit in fits}
+        return Fits((fit.person for fit in fits), lambda person: held[id(person)])
+
+    def __len__(self) -> int:
+        """Count the people."""
+        return len(self.people)
+
+    def __getitem__(self, index: int | slice) -> Fit | Fits:
+        """Read one fit, or take some people."""
+        if isinstance(index, slice):
+            return Fits(self.people[index], self._read)
+        return self._read(self.people[index])
+
+    def __iter__(self) -> Iterator[Fit]:
+        """Read one fit after the other."""
+        return map(self._read, self.people)
+
+    def select(self, indices: Iterable[int]) -> Fits:
+        """Take some people, in this order."""
+        return Fits((self.people[index] for index in indices), self._read)
+
+    def expect(self, indices: Iterable[int]) -> None:
+        """Have the system read photographs and fits of these people ahead of need."""
+        for index in indices:
+            self.people[index].crop.expect()
+            if isinstance(self._read, _Shelf):
+                self._read.expect(self.people[index])
+
+
+NOBODY = Fits.of(())
+
+
+class _Shelf:
+    """Gives fits from their files; what no file keeps stays in memory, packed."""
+
+    def __init__(self) -> None:
+        self._files = DiskCache(cache_folder("fits"), ".fit", LIMIT, "fits of people")
+        self._unpacked = MemoryCache(MEMORY_BYTES)
+        self._held: dict[str, bytes] = {}
+        self._fitter: Fitter | None = None
+
+    def has(self, person: Person) -> bool:
+        name = person_identity(person)
+        return name in self._held or self._files.get(name) is not None
+
+    def put(self, person: Person, packed: bytes) -> None:
+        name = person_identity(person)
+        if not self._files.put(name, packed):
+            self._held[name] = packed
+
+    def expect(self, person: Person) -> None:
+        self._files.expect(person_identity(person))
+
+    def quality(self, person: Person) -> dict[str, float]:
+        name = person_identity(person)
+        data = self._files.get(name)
+        packed = self._held.get(name) if data is None else data.tobytes()
+        return self(person).quality if packed is None else read_quality(packed)
+
+    def __call__(self, person: Person) -> Fit:
+        name = person_identity(person)
+        # The same pixels under another name are another person's words, which views show.
+        key = name, person.photograph, person.number
+        fit = self._unpacked.get(key)
+        if fit is None:
+            data = self._files.get(name)
+            packed = self._held.get(name) if data is None else data.tobytes()
+            if packed is None:  # another process made room in the cache
+                packed = fit_some([person])[0]
+                self.put(person, packed)
+            fit = self._unpacked.put(key, unpack_fit(packed, person))
+        return fit
+
+
+def fit_people(
+    people: People, on_progress: Callable[[int, int], None] | None = None, executor: Executor | None = None
+) -> Fits:
     """Fit every person; those fitted before come from the cache. `on_progress` hears (people done, people in all).
 
     People whom the body does not fit (`fits_well`) are missing; `those_who_fit` counts them. InputError: it fits none.
+    executor: who fits (Ray's workers); None: processes of this machine, one for each core. A job that is lost with its
+    process is done again, and nothing that came back is.
     """
-    files = DiskCache(cache_folder("fits"), ".safetensors", LIMIT, "fits of people")
-    fitter: Fitter | None = None
-    found = []
-    for number, person in enumerate(people.people):
-        name = person_identity(person)
-        data = files.get(name)
-        if data is None:
-            fitter = fitter or Fitter()
-            packed = _packed(fitter.fit(person))
-            files.put(name, packed)
-        # Read back either way: a fit has the same bits the first time and later.
-        fit = _unpacked(packed if data is None else data.tobytes(), person)
-        found += [fit] if fits_well(fit) else []
+    shelf = _Shelf()
+    missing = list({person_identity(p): p for p in people.people if not shelf.has(p)}.values())
+    done = len(people) - len(missing)
+    parts = [missing[start : start + TOGETHER] for start in range(0, len(missing), TOGETHER)]
+    jobs = [Job(f"people {k * TOGETHER + 1} ...", fit_some, {"people": part}) for k, part in enumerate(parts)]
+    run = executor.run if executor else in_order if len(missing) < ALONE else Processes().run
+    if on_progress is not None:
+        on_progress(done, len(people))
+    for outcome in run(jobs):
+        outcome.require()
+        for person, packed in zip(outcome.job.arguments["people"], outcome.result, strict=True):
+            shelf.put(person, packed)
+        done += len(outcome.result)
         if on_progress is not None:
-            on_progress(number + 1, len(people))
-    if not found and len(people):
+            on_progress(done, len(people))
+    fitting = [person for person in people.people if _covers(shelf.quality(person))]
+    if not fitting and len(people):
         raise InputError(f"{people.name}: the body fits none of its {len(people)} people (landmarks of other people?)")
-    return found
+    return Fits(fitting, shelf)
+
+
+def fit_some(people: Sequence[Person]) -> list[bytes]:
+    """Fit people, packed (`compact`): what a process of another core or machine does."""
+    return [pack_fit(fit) for fit in Fitter().fit_all(people)]
 
 
 def person_identity(person: Person) -> str:
@@ -59,28 +165,15 @@ def people_identity(people: Iterable[Person]) -> str:
 
 def fits_well(fit: Fit) -> bool:
     """Tell whether the body covers a person's mask well enough to lay colours onto it."""
-    return fit.quality["covered"] >= LEAST_COVERED and fit.quality["spilled"] <= MOST_SPILLED
+    return _covers(fit.quality)
+
+
+def _covers(quality: Mapping[str, float]) -> bool:
+    return quality["covered"] >= LEAST_COVERED and quality["spilled"] <= MOST_SPILLED
 
 
 def those_who_fit(people: People, fits: Sequence[Fit]) -> People:
     """Select the people of these fits, in their order; the others are left out, "does not fit"."""
     missing = len(people) - len(fits)
     left_out = people.left_out | ({"does not fit": missing} if missing else {})
-    return replace(people, people=tuple(fit.person for fit in fits), left_out=left_out)
-
-
-def _packed(fit: Fit) -> bytes:
-    arrays = {name: getattr(fit, name) for name in _STORED}
-    small = {"triangle": np.int32, "main": np.int32, "pixels": np.int32, "crow": np.int32}
-    small |= {"share": np.float32, "rest": np.float32, "shading": np.float32}
-    arrays = {name: np.ascontiguousarray(array, small.get(name, array.dtype)) for name, array in arrays.items()}
-    numbers = {f"quality_{name}": value for name, value in fit.quality.items()} | {"scale": fit.scale}
-    return save(arrays | {name: np.array([value], np.float64) for name, value in numbers.items()})
-
-
-def _unpacked(data: bytes, person: Person) -> Fit:
-    stored = load(data)
-    whole = {"triangle": np.int64, "main": np.int64, "pixels": np.int64, "crow": np.int64}
-    arrays = {name: stored[name].astype(whole.get(name, np.float64)) for name in _STORED}
-    quality = {key.removeprefix("quality_"): float(stored[key][0]) for key in stored if key.startswith("quality_")}
-    return Fit(person=person, quality=quality, scale=float(stored["scale"][0]), **arrays)
+    return replace(people, people=Fits.of(fits).people, left_out=left_out)

@@ -6,23 +6,25 @@ mask; where the mask reaches beyond the body, the nearest of its pixels lends it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import distance_transform_edt
 
 from cloak_core.core.cameras import Camera, Number
+from cloak_core.core.view import View
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.sources.photographs.landmarks import INDEX, Landmarks
 from cloak_core.sources.photographs.people import Person
 from cloak_core.sources.photographs.posing import Posed, pose_to
 from cloak_core.sources.photographs.rig import NUMBER, SEGMENTS, Rig, body_rig
-from cloak_core.sources.photographs.shading import exposure_and_cast, shading
+from cloak_core.sources.photographs.shading import around, exposure_and_cast, shading
 
 ROUNDS = 3
 """Of widening; each takes one rasterization."""
@@ -42,29 +44,39 @@ class Fit:
     person: Person
     pixels: Int64[np.ndarray, " P"]
     """Flat in the person's crop, ascending; only pixels of her mask."""
+    lender: Int64[np.ndarray, " P"]
+    """The pixel of the posed body that each takes its triangles from: itself, or the nearest where the mask reaches
+    beyond the body."""
     crow: Int64[np.ndarray, " P1"]
     """P + 1 row offsets."""
     triangle: Int64[np.ndarray, " E"]
     share: Float[np.ndarray, " E"]
     """Of the pixel; those of a pixel add up to 1."""
-    rest: Float[np.ndarray, "P 3"]
-    """The point of the body at rest that is seen there, metres; beyond the body, moved on as the pixel is."""
     main: Int64[np.ndarray, " P"]
     """The triangle that is seen most."""
-    shading: Float[np.ndarray, "h w"]
+    shading: Float[np.ndarray, " P"]
     tint: Float[np.ndarray, " 3"]
     """What the photograph's exposure and colour cast multiply colours by."""
-    scale: Number
-    """Pixels per metre of the body at rest."""
+    posed: Posed
     quality: dict[str, float]
     """landmark_px, landmark_heights: root mean square distance of the fitted joints from the seen landmarks; covered:
     share of the mask that the body covers by itself; spilled: share of the body outside the mask."""
 
+    @property
+    def scale(self) -> Number:
+        """Pixels per metre of the body at rest."""
+        return self.posed.scale
+
+    @cached_property
+    def rest(self) -> Float[np.ndarray, "P 3"]:
+        """The point of the body at rest that each pixel shows, metres; beyond the body, moved on as the pixel is."""
+        return _at_rest(self.posed, body_rig(), self.person.shape[1], self.pixels, self.lender, self.main)
+
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of the photograph's part and of all that is laid onto it."""
+        """SHA-256 (hex) of the person and of all that is laid onto her."""
         own = (self.pixels, self.crow, self.triangle, self.share, self.shading, self.tint)
-        return sha256_arrays(self.person.image, *own)
+        return sha256_record([self.person.identity, sha256_arrays(*own)])
 
 
 class Fitter:
@@ -76,130 +88,160 @@ class Fitter:
 
     def fit(self, person: Person, landmarks: Landmarks | None = None, widen: Number = 1.0) -> Fit:
         """Fit one person. landmarks: hers, where they are to be others than the file's; widen: of all widths."""
-        landmarks = landmarks or person.landmarks
-        widths: dict[str, float] = {}
+        return self.fit_all([person], [landmarks or person.landmarks], widen)[0]
+
+    def fit_all(
+        self, people: Sequence[Person], landmarks: Sequence[Landmarks] | None = None, widen: Number = 1.0
+    ) -> list[Fit]:
+        """Fit people together, as poses of one scene: what depends on the mesh alone is done once for all of them."""
+        landmarks = landmarks or [person.landmarks for person in people]
+        masks = [person.mask for person in people]
+        widths: list[dict[str, float]] = [{} for _ in people]
         for _ in range(ROUNDS):
-            posed = pose_to(landmarks, self.rig, widths)
-            widths = self._widened(widths, self._faces(posed, person), person)
-        posed = pose_to(landmarks, self.rig, {name: width * widen for name, width in widths.items()})
-        height = person.box[3] - person.box[1]
-        light = shading(person.image, person.mask, height)
-        return self._drawn(posed, person, light, _landmark_error(posed, self.rig, landmarks, height))
+            posed = [pose_to(points, self.rig, own) for points, own in zip(landmarks, widths, strict=True)]
+            seen = self._views(posed, masks, 1)
+            widths = [
+                self._widened(own, _faces(view, mask.shape), mask, person.box[3] - person.box[1])
+                for own, view, mask, person in zip(widths, seen, masks, people, strict=True)
+            ]
+        widths = [{name: width * widen for name, width in own.items()} for own in widths]
+        posed = [pose_to(points, self.rig, own) for points, own in zip(landmarks, widths, strict=True)]
+        seen = self._views(posed, masks, None)
+        return [self._drawn(*parts) for parts in zip(people, landmarks, masks, posed, seen, strict=True)]
 
-    def _view_cache(self, posed: Posed, size: tuple[int, int], samples: int | None) -> tuple[ViewCache, Camera]:
-        height, width = size
-        vertices, distance = posed.vertices(self.rig), FAR * height
-        centre = np.array([width / 2, -height / 2])
-        vertices[:, :2] = centre + (vertices[:, :2] - centre) * (1 - vertices[:, 2:] / distance)
-        field = float(2 * np.degrees(np.arctan(height / 2 / distance)))
-        camera = Camera(distance, 0.0, 0.0, field, width, height, pivot=(float(centre[0]), float(centre[1]), 0.0))
-        shape = Bodies(vertices[None].astype(np.float32), self.rig.triangles.astype(np.int32))
-        return ViewCache(shape, RenderSettings(samples=samples, light=Light(1.0, 0.0, 0.0))), camera
+    def _views(self, posed: Sequence[Posed], masks: Sequence[np.ndarray], samples: int | None) -> list[View]:
+        """See each posed body through a far camera that shows its person's crop."""
+        cameras, bodies = [], []
+        for pose, mask in zip(posed, masks, strict=True):
+            height, width = mask.shape
+            vertices, distance = pose.vertices(self.rig), FAR * height
+            centre = np.array([width / 2, -height / 2])
+            vertices[:, :2] = centre + (vertices[:, :2] - centre) * (1 - vertices[:, 2:] / distance)
+            field = float(2 * np.degrees(np.arctan(height / 2 / distance)))
+            pivot = (float(centre[0]), float(centre[1]), 0.0)
+            cameras.append(Camera(distance, 0.0, 0.0, field, width, height, pivot=pivot))
+            bodies.append(vertices.astype(np.float32))
+        scene = Bodies(np.stack(bodies), self.rig.triangles.astype(np.int32))
+        view_cache = ViewCache(scene, RenderSettings(samples=samples, light=Light(1.0, 0.0, 0.0)))
+        return [view_cache.view(number, camera) for number, camera in enumerate(cameras)]
 
-    def _faces(self, posed: Posed, person: Person) -> Int64[np.ndarray, "h w"]:
-        """The face at each pixel's centre; -1 where there is none."""
-        view_cache, camera = self._view_cache(posed, person.mask.shape, 1)
-        view = view_cache.view(0, camera)
-        faces = np.full(person.mask.size, -1)
-        faces[view.pixels.numpy()] = view.map.column.numpy()[view.map.crow.numpy()[:-1]]
-        return faces.reshape(person.mask.shape)
-
-    def _widened(self, widths: dict[str, float], faces: np.ndarray, person: Person) -> dict[str, float]:
+    def _widened(
+        self, widths: dict[str, float], faces: np.ndarray, mask: Bool[np.ndarray, "h w"], height: Number
+    ) -> dict[str, float]:
         """Each segment as much wider or narrower as its part of the mask is than it."""
         if not (faces >= 0).any():
             return widths
-        height = person.box[3] - person.box[1]
+        body = np.bincount(self._segment[faces[faces >= 0]], minlength=len(SEGMENTS))
+        window = around(mask, REACH["garment"] * height)
+        faces, mask = faces[window], mask[window]
+        if not (faces >= 0).any():
+            return widths
         away, nearest = distance_transform_edt(faces < 0, return_indices=True)
-        label = np.where(away <= REACH["garment"] * height, self._segment[faces[tuple(nearest)]], -1)
+        near = mask & (away <= REACH["garment"] * height)
+        part = np.bincount(self._segment[faces[tuple(nearest[:, near])]], minlength=len(SEGMENTS))
         found = dict(widths)
         for pair in (("pelvis",), ("chest",), *((f"l_{p}", f"r_{p}") for p in ("arm", "forearm", "thigh", "shin"))):
             numbers = [NUMBER[name] for name in pair]
-            body = np.isin(np.where(faces >= 0, self._segment[faces], -1), numbers).sum()
-            mask = (np.isin(label, numbers) & person.mask).sum()
-            if body < 20:
+            if body[numbers].sum() < 20:
                 continue
             for name in pair:
-                found[name] = float(np.clip(found.get(name, 1.0) * mask / body, *WIDTHS))
+                found[name] = float(np.clip(found.get(name, 1.0) * part[numbers].sum() / body[numbers].sum(), *WIDTHS))
         return found
 
-    def _drawn(self, posed: Posed, person: Person, light: np.ndarray, quality: dict[str, float]) -> Fit:
+    def _drawn(
+        self, person: Person, landmarks: Landmarks, mask: Bool[np.ndarray, "h w"], posed: Posed, view: View
+    ) -> Fit:
         """Rasterized by area, cut to the mask, and drawn out to where the mask reaches."""
-        view_cache, camera = self._view_cache(posed, person.mask.shape, None)
-        view = view_cache.view(0, camera)
+        height = person.box[3] - person.box[1]
+        quality = _landmark_error(posed, self.rig, landmarks, height)
         pixels, coverage = view.pixels.numpy(), view.coverage.numpy()
         crow, triangle, share = view.map.arrays
         share = share.astype(np.float64)
-        row = np.full(person.mask.size, -1)
+        row = np.full(mask.size, -1)
         row[pixels[coverage > 0.5]] = np.flatnonzero(coverage > 0.5)
-        row = row.reshape(person.mask.shape)
+        row = row.reshape(mask.shape)
         most = _largest(crow, share)
         main = np.full(row.shape, -1)
         main[row >= 0] = triangle[most[row[row >= 0]]]
-        chosen, source = self._drawn_out(row, main, person)
+        chosen, source = self._drawn_out(row, main, mask, height)
         counts = np.diff(crow)[source]
         entry = np.repeat(crow[source] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
         # A pixel of the mask is hers as a whole: where the body's own edge runs through it, shares are scaled up.
         shares = share[entry] / np.repeat(np.maximum(coverage[source], 1e-6), counts)
-        seen = triangle[most[source]]
         body = row >= 0
-        quality["covered"] = float((body & person.mask).sum() / person.mask.sum())
-        quality["spilled"] = float((body & ~person.mask).sum() / max(body.sum(), 1))
+        quality["covered"] = float((body & mask).sum() / mask.sum())
+        quality["spilled"] = float((body & ~mask).sum() / max(body.sum(), 1))
         return Fit(
             person,
             chosen,
+            pixels[source],
             np.concatenate([[0], np.cumsum(counts)]),
             triangle[entry],
             shares,
-            self._at_rest(posed, person.mask.shape[1], chosen, pixels[source], seen),
-            seen,
-            light,
+            triangle[most[source]],
+            shading(person.image, mask, height).reshape(-1)[chosen],
             exposure_and_cast(person.image),
-            posed.scale,
+            posed,
             quality,
         )
 
-    def _at_rest(
-        self, posed: Posed, width: int, pixels: np.ndarray, source: np.ndarray, triangle: np.ndarray
-    ) -> Float[np.ndarray, "P 3"]:
-        """Points of the rest body under the centres of the lending pixels, moved on to the pixels that borrow."""
-        x, y = source % width + 0.5, -(source // width + 0.5)
-        corners = posed.vertices(self.rig)[self.rig.triangles[triangle]]
-        (ax, ay), (bx, by), (cx, cy) = (corners[:, k, :2].T for k in range(3))
-        twice = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        safe = np.where(np.abs(twice) < 1e-9, 1e-9, twice)
-        b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / safe
-        c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / safe
-        weights = np.clip(np.stack([1 - b - c, b, c], axis=1), 0, 1)
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-        rest = np.einsum("pk,pkd->pd", weights, self.rig.vertices[self.rig.triangles[triangle]])
-        moved = np.stack([pixels % width - source % width, source // width - pixels // width], axis=1) / posed.scale
-        # Towards the viewer's right is the body's left from the front, its right from behind.
-        facing = np.sign(posed.transforms[1, 2, 2])
-        rest[:, 0] += moved[:, 0] * (facing or 1.0)
-        rest[:, 1] += moved[:, 1]
-        return rest
-
-    def _drawn_out(self, row: np.ndarray, faces: np.ndarray, person: Person) -> tuple[np.ndarray, np.ndarray]:
+    def _drawn_out(
+        self, row: np.ndarray, faces: np.ndarray, mask: Bool[np.ndarray, "h w"], height: Number
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Pixels of the mask to dress, and for each the row of the view whose faces it shows."""
+        window = around(mask, max(REACH.values()) * height)
+        whole, row, faces = np.full(row.shape, -1), row[window], faces[window]
         segment = np.where(faces >= 0, self._segment[faces], -1)
-        height, source = person.box[3] - person.box[1], np.full(row.shape, -1)
-        best = np.full(row.shape, np.inf)
+        source, best = np.full(row.shape, -1), np.full(row.shape, np.inf)
         for part, reach in REACH.items():
             names = [name for name in SEGMENTS if name.endswith(part)] if part != "garment" else GARMENT
-            mine = np.isin(segment, [NUMBER[name] for name in names])
-            if not mine.any():
+            of_part = np.isin(segment, [NUMBER[name] for name in names])
+            if not of_part.any():
                 continue
-            away, nearest = distance_transform_edt(~mine, return_indices=True)
+            away, nearest = distance_transform_edt(~of_part, return_indices=True)
             nearer = (away < best) & (away <= reach * height)
             best[nearer], source[nearer] = away[nearer], row[tuple(nearest)][nearer]
-        chosen = np.flatnonzero(person.mask & (source >= 0))
-        return chosen, source.reshape(-1)[chosen]
+        whole[window] = source
+        chosen = np.flatnonzero(mask & (whole >= 0))
+        return chosen, whole.reshape(-1)[chosen]
+
+
+def _faces(view: View, shape: tuple[int, int]) -> Int64[np.ndarray, "h w"]:
+    """The face at each pixel's centre; -1 where there is none."""
+    faces = np.full(shape[0] * shape[1], -1)
+    faces[view.pixels.numpy()] = view.map.column.numpy()[view.map.crow.numpy()[:-1]]
+    return faces.reshape(shape)
+
+
+def _at_rest(
+    posed: Posed, rig: Rig, width: int, pixels: np.ndarray, source: np.ndarray, triangle: np.ndarray
+) -> Float[np.ndarray, "P 3"]:
+    """Points of the rest body under the centres of the lending pixels, moved on to the pixels that borrow."""
+    x, y = source % width + 0.5, -(source // width + 0.5)
+    corners = posed.vertices(rig)[rig.triangles[triangle]]
+    (ax, ay), (bx, by), (cx, cy) = (corners[:, k, :2].T for k in range(3))
+    twice = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    safe = np.where(np.abs(twice) < 1e-9, 1e-9, twice)
+    b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / safe
+    c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / safe
+    weights = np.clip(np.stack([1 - b - c, b, c], axis=1), 0, 1)
+    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+    rest = np.einsum("pk,pkd->pd", weights, rig.vertices[rig.triangles[triangle]])
+    moved = np.stack([pixels % width - source % width, source // width - pixels // width], axis=1) / posed.scale
+    # Towards the viewer's right is the body's left from the front, its right from behind.
+    facing = np.sign(posed.transforms[1, 2, 2])
+    rest[:, 0] += moved[:, 0] * (facing or 1.0)
+    rest[:, 1] += moved[:, 1]
+    return rest
 
 
 def _largest(crow: np.ndarray, share: np.ndarray) -> np.ndarray:
     """The entry with the largest share of each row; rows are not empty."""
     row = np.repeat(np.arange(len(crow) - 1), np.diff(crow))
-    return np.lexsort((share, row))[crow[1:] - 1]
+    largest = np.flatnonzero(share == np.maximum.reduceat(share, crow[:-1])[row])
+    found = np.empty(len(crow) - 1, np.int64)
+    found[row[largest]] = largest  # the last of equal ones
+    return found
 
 
 def _landmark_error(posed: Posed, rig: Rig, landmarks: Landmarks, height: Number) -> dict[str, float]:

@@ -17,7 +17,21 @@ def decode_mask(segmentation: object, height: int, width: int, what: str) -> Boo
     names annotation and file in the `InputError` that a broken or misplaced segmentation raises.
     """
     if isinstance(segmentation, list):
-        return _fill_polygons(segmentation, height, width, what)
+        return _fill_polygons(_polygons(segmentation, height, width, what), height, width)
+    counts = _run_lengths(segmentation, height, width, what)
+    values = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
+    return values.reshape(width, height).T.copy()
+
+
+def check_mask(segmentation: object, height: int, width: int, what: str) -> None:
+    """Check a COCO segmentation as `decode_mask` does, without drawing it: a tenth of the time."""
+    if isinstance(segmentation, list):
+        _polygons(segmentation, height, width, what)
+    else:
+        _run_lengths(segmentation, height, width, what)
+
+
+def _run_lengths(segmentation: object, height: int, width: int, what: str) -> list[int]:
     if not isinstance(segmentation, dict) or "counts" not in segmentation or "size" not in segmentation:
         raise InputError(f"{what}: segmentation is neither polygons nor run lengths")
     if segmentation["size"] != [height, width]:
@@ -29,8 +43,7 @@ def decode_mask(segmentation: object, height: int, width: int, what: str) -> Boo
         raise InputError(f"{what}: run lengths are not a list of numbers from 0")
     if sum(counts) != height * width:
         raise InputError(f"{what}: run lengths add up to {sum(counts)}, the photograph has {height * width} pixels")
-    values = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
-    return values.reshape(width, height).T.copy()
+    return counts
 
 
 def _unpack_counts(packed: str, what: str) -> list[int]:
@@ -54,11 +67,9 @@ def _unpack_counts(packed: str, what: str) -> list[int]:
     return counts
 
 
-def _fill_polygons(polygons: list, height: int, width: int, what: str) -> Bool[np.ndarray, "h w"]:
-    from PIL import Image, ImageDraw
-
-    picture = Image.new("1", (width, height))
-    draw = ImageDraw.Draw(picture)
+def _polygons(polygons: list, height: int, width: int, what: str) -> list[np.ndarray]:
+    """Read polygons [N, 2] of x, y."""
+    checked = []
     for polygon in polygons:
         if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
             raise InputError(f"{what}: a polygon is a list of at least three x, y")
@@ -66,6 +77,16 @@ def _fill_polygons(polygons: list, height: int, width: int, what: str) -> Bool[n
         # COCO's own polygons reach a pixel beyond the border here and there.
         if points.min() < -2 or (points.max(axis=0) > (width + 2, height + 2)).any():
             raise InputError(f"{what}: a polygon lies outside the photograph ({width} x {height})")
+        checked.append(points)
+    return checked
+
+
+def _fill_polygons(polygons: list[np.ndarray], height: int, width: int) -> Bool[np.ndarray, "h w"]:
+    from PIL import Image, ImageDraw
+
+    picture = Image.new("1", (width, height))
+    draw = ImageDraw.Draw(picture)
+    for points in polygons:
         draw.polygon([tuple(point) for point in points.tolist()], fill=1)
     return np.array(picture)
 

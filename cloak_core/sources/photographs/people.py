@@ -1,4 +1,4 @@
-"""People in photographs, as a file in COCO's format describes them.
+"""People in photographs, as files in COCO's format describe them.
 
 Each person that can be dressed becomes a crop of the photograph with a mask and landmarks; the others are counted by
 the reason why not.
@@ -7,70 +7,25 @@ the reason why not.
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Bool, UInt8
-
-from cloak_core.core.pictures import open_picture
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.likeness import picture_look
+from cloak_core.files.reading import read_text
 from cloak_core.sources.bodies.selection import select, split_selection
-from cloak_core.sources.photographs.annotations import description, listed_images, people_by_image
-from cloak_core.sources.photographs.coco_reader import check_place, read_coco
-from cloak_core.sources.photographs.landmarks import INDEX, LIMBS, SEEN, Landmarks, is_upright, read_landmarks
-from cloak_core.sources.photographs.masks import decode_mask, numbers
+from cloak_core.sources.photographs.annotations import listed_images, people_by_image
+from cloak_core.sources.photographs.choosing import Box
+from cloak_core.sources.photographs.coco_reader import read_coco
+from cloak_core.sources.photographs.person import Person
+from cloak_core.sources.photographs.reader import Entry, Reader
 
-SURROUNDINGS = 2.4
-"""Side of a person's crop, in heights of her box: as much as any view of her shows."""
-MOST_HEIGHT = 420
-"""Pixels; taller people are resized to it, more is seen by no detector here."""
-LEAST_HEIGHT = 96
-Box = tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class Person:
-    """One person who can be dressed: a crop of a photograph with her mask, box and landmarks in its pixels."""
-
-    photograph: str
-    """File name."""
-    number: int
-    """The annotation's id."""
-    image: UInt8[np.ndarray, "h w 3"]
-    mask: Bool[np.ndarray, "h w"]
-    box: Box
-    """x0, y0, x1, y1 in pixels of the crop."""
-    landmarks: Landmarks
-    others: tuple[Box, ...] = ()
-    """Boxes of the other annotated people."""
-    licence: str = ""
-    pixels: str = ""
-    """SHA-256 (hex) of the whole photograph: decoded, upright, at full size."""
-    look: str = ""
-    """Of the whole photograph, see `files.likeness.picture_look`."""
-
-    @property
-    def name(self) -> str:
-        """PHOTOGRAPH#ID."""
-        return f"{self.photograph}#{self.number}"
-
-    @cached_property
-    def identity(self) -> str:
-        """SHA-256 (hex) of all that decides how she is dressed and judged, whatever her photograph is called.
-
-        The crop's pixels, mask, her box and the others', and the landmarks with visibility and depth (world coordinates
-        reach a fit as depth alone).
-        """
-        landmarks = self.landmarks
-        depth = np.zeros(0) if landmarks.depth is None else landmarks.depth
-        boxes = np.array([self.box, *self.others], np.float64)
-        return sha256_arrays(self.image, self.mask, boxes, landmarks.xy, landmarks.visibility, depth)
+MAX_LIST_BYTES = 1 << 20
+_COMMA = re.compile(r",(?![^\[\]]*\])")
+"""Between files; those of a selection, PEOPLE.json[0,2], stand in brackets."""
+__all__ = ["Box", "People", "Person", "load_people"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,198 +61,87 @@ class People:
 
 
 def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None) -> People:
-    """Read people in photographs from a COCO file: PEOPLE.json, or PEOPLE.json[0::2] for every second photograph.
+    """Read people in photographs from COCO files: PEOPLE.json, or PEOPLE.json[0::2] for every second photograph.
 
-    images: the photographs' folder; None: the file's own, or `images` in it. A selection counts or names photographs
-    (see `bodies.selection`). Only annotations of people count (`annotations.PERSON_NAMES`); a photograph under two
-    names is one, and what is said of it twice counts once. `InputError` names annotation and file for whatever is
+    spec: one file, several with commas between them, a pattern (shards/*.json), or LIST.txt with one of these a line,
+    from its own folder. images: the photographs' folder; None: each file's own, or `images` in it. A selection counts
+    or names photographs (see `bodies.selection`). Only annotations of people count (`annotations.PERSON_NAMES`); a
+    photograph under two names is one, and what is said of it twice counts once. Photographs without anybody to dress
+    are not opened, the others again when somebody is drawn. `InputError` names annotation and file for whatever is
     broken or does not fit the picture.
     """
-    path, selection = split_selection(str(spec))
+    found: list[Person] = []
+    left_out: Counter[str] = Counter()
+    seen: set[str] = set()
+    files = _files(str(spec))
+    for file in files:
+        chosen, reasons = _read_file(file, images)
+        left_out.update(reasons)
+        for person in chosen:
+            # Shards may overlap.
+            if len(files) > 1 and person.identity in seen:
+                left_out["listed twice"] += 1
+                continue
+            seen.add(person.identity)
+            found.append(person)
+    if not found:
+        reasons = ", ".join(f"{reason} {count}" for reason, count in left_out.items()) or "no annotation"
+        raise InputError(f"{spec}: nobody in it can be dressed ({reasons})")
+    return People(tuple(found), dict(left_out), Path(split_selection(files[0])[0]).stem)
+
+
+def _files(spec: str) -> list[str]:
+    """List the files, each with its selection, that a spec names. InputError: there are none."""
+    if Path(split_selection(spec)[0]).is_file():
+        return _listed(spec)
+    return [file for part in _COMMA.split(spec) if part.strip() for file in _listed(part.strip())] or [spec]
+
+
+def _listed(spec: str) -> list[str]:
+    path, selection = split_selection(spec)
+    if Path(path).suffix == ".txt":
+        lines = [line.strip() for line in read_text(path, MAX_LIST_BYTES).splitlines()]
+        names = [line for line in lines if line and not line.startswith("#")]
+        if selection is not None or not names:
+            raise InputError(f"{spec}: a list of people's files holds one a line, each with its own selection")
+        return [file for name in names for file in _files(os.path.join(os.path.dirname(path), name))]
+    if "*" in path and not Path(path).is_file():
+        folder, pattern = os.path.split(path)
+        files = sorted(str(file) for file in Path(folder or ".").glob(pattern) if file.is_file())
+        if not files:
+            raise InputError(f"{spec}: no file has such a name")
+        return [file + spec[len(path) :] for file in files]
+    return [spec]
+
+
+def _read_file(spec: str, images: str | os.PathLike | None) -> tuple[list[Person], Counter[str]]:
+    """Read one file: who can be dressed, and how many others there are by reason."""
+    path, selection = split_selection(spec)
     record = read_coco(path)
     folders = [Path(images)] if images is not None else [Path(path).parent, Path(path).parent / "images"]
     listed = listed_images(record, path)
     if selection is not None:
         names = [str(entry.get("file_name")) for entry in listed]
-        listed = [listed[i] for i in select(selection, names, str(spec))]
+        listed = [listed[i] for i in select(selection, names, spec)]
     licences = {entry.get("id"): str(entry.get("name")) for entry in record.get("licenses") or []}
     of_image = people_by_image(record, path)
-    reader = _Reader(path, folders)
+    del record  # COCO's own file takes a gigabyte as Python objects
+    entries = (
+        Entry(image, of_image.get(repr(image.get("id")), []), licences.get(image.get("license"), ""))
+        for image in listed
+    )
     found: list[Person] = []
     left_out: Counter[str] = Counter()
     disordered: list[str] = []
-    for entry in listed:
-        licence = licences.get(entry.get("license"), "")
-        for what, person in reader.people_of(entry, of_image.get(repr(entry.get("id")), []), licence):
-            if isinstance(person, Person):
-                found.append(person)
-            else:
-                left_out[person] += 1
-                disordered += [what] * (person == "not upright")
+    for what, person in Reader(path, folders).people(entries):
+        if isinstance(person, Person):
+            found.append(person)
+        else:
+            left_out[person] += 1
+            disordered += [what] * (person == "not upright")
     if len(disordered) > len(found):  # few people stand on their heads
         raise InputError(
             f"{disordered[0]}: keypoints of another order? shoulders, hips, knees and ankles do not follow each other "
             f"downwards, in {len(disordered)} of {len(disordered) + len(found)} people"
         )
-    if not found:
-        reasons = ", ".join(f"{reason} {count}" for reason, count in left_out.items()) or "no annotation"
-        raise InputError(f"{spec}: nobody in it can be dressed ({reasons})")
-    return People(tuple(found), dict(left_out), Path(path).stem)
-
-
-class _Reader:
-    """Reads the people of one photograph after the other.
-
-    The same pixels under another name are the same photograph, called as it was first.
-    """
-
-    def __init__(self, path: str, folders: Sequence[Path]) -> None:
-        self._path, self._folders = path, folders
-        self._names: dict[str, str] = {}
-        self._listed: set[tuple[str, str]] = set()
-
-    def people_of(self, entry: dict, annotations: list[dict], licence: str) -> Iterator[tuple[str, Person | str]]:
-        """Yield what each annotation is called, with its person, or the reason why she is left out."""
-        if not annotations:
-            return
-        name = entry.get("file_name")
-        if not isinstance(name, str) or not name:
-            raise InputError(f"{self._path}: image {entry.get('id')} has no file_name")
-        image = _read_upright(name, entry, self._folders, f"{self._path}: image {entry.get('id')} ({name})")
-        pixels = sha256_arrays(image)
-        photograph = {"photograph": self._names.setdefault(pixels, name), "licence": licence}
-        photograph |= {"pixels": pixels, "look": picture_look(image)}
-        named: list[tuple[str, dict]] = []
-        for annotation in annotations:
-            what = f"{self._path}: annotation {annotation['id']} ({name})"
-            content = (pixels, description(annotation))
-            if content in self._listed:
-                yield what, "listed twice"
-            else:
-                named.append((what, annotation))
-            self._listed.add(content)
-        for what, person in _annotated(image, named):
-            yield what, person if isinstance(person, str) else replace(person, **photograph)
-
-
-def _annotated(
-    image: UInt8[np.ndarray, "h w 3"], named: Sequence[tuple[str, dict]]
-) -> Iterator[tuple[str, Person | str]]:
-    """Yield each annotation's name with its person, cut out, or the reason why she is left out."""
-    height, width = image.shape[:2]
-    boxes = [_box(annotation, width, height, what) for what, annotation in named]
-    for number, (what, annotation) in enumerate(named):
-        box = boxes[number]
-        # Everything given is checked, also of those who are then left out.
-        mask = None
-        if annotation.get("segmentation"):
-            mask = decode_mask(annotation["segmentation"], height, width, what)
-        landmarks = read_landmarks(annotation, what)
-        reason = why_left_out(annotation, mask, landmarks, box, (width, height))
-        if reason:
-            yield what, reason
-            continue
-        check_place(box, landmarks, what)
-        others = tuple(b for i, b in enumerate(boxes) if i != number and not named[i][1].get("iscrowd"))
-        yield what, _cropped(Person("", annotation["id"], image, mask, box, landmarks, others))
-
-
-def _read_upright(name: str, entry: dict, folders: Sequence[Path], what: str) -> UInt8[np.ndarray, "h w 3"]:
-    from PIL import ImageOps
-
-    if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise InputError(f"{what}: the file name leads out of the photographs' folder")
-    place = next((folder / name for folder in folders if (folder / name).is_file()), None)
-    if place is None:
-        raise InputError(f"{what}: no such photograph in {' or '.join(map(str, folders))} (--images DIR)")
-    with open_picture(place) as picture:
-        upright = ImageOps.exif_transpose(picture).convert("RGB")
-        turned = upright.size != picture.size
-        image = np.array(upright)
-    given = (entry.get("width", upright.width), entry.get("height", upright.height))
-    if given != upright.size:
-        hint = (
-            " (its EXIF record turns it: annotate the upright picture)"
-            if turned and given == upright.size[::-1]
-            else ""
-        )
-        raise InputError(
-            f"{what}: {upright.width} x {upright.height} pixels, annotated as {given[0]} x {given[1]}{hint}"
-        )
-    return image
-
-
-def _box(annotation: dict, width: int, height: int, what: str) -> Box:
-    values = numbers(annotation.get("bbox"), f"{what}: bbox")
-    if values.shape != (4,) or values[2:].min() < 0:
-        raise InputError(f"{what}: bbox is not x, y, width, height")
-    x, y, w, h = values.tolist()
-    if x < -2 or y < -2 or x + w > width + 2 or y + h > height + 2:
-        raise InputError(f"{what}: bbox lies outside the photograph ({width} x {height})")
-    return x, y, x + w, y + h
-
-
-def why_left_out(
-    annotation: dict, mask: np.ndarray | None, landmarks: Landmarks | None, box: Box, size: tuple[int, int]
-) -> str:
-    """Say why a person cannot be dressed; "" where she can."""
-    if annotation.get("iscrowd"):
-        return "crowd"
-    if mask is None or not mask.any():
-        return "no mask"
-    if landmarks is None:
-        return "no landmarks"
-    if box[3] - box[1] < LEAST_HEIGHT:
-        return "small"
-    if (landmarks.visibility[list(LIMBS[:6])] < SEEN).any():
-        return "hidden"
-    xy = landmarks.xy[list(LIMBS)]
-    if (
-        (xy.min(axis=0) < -8).any()
-        or (xy.max(axis=0) > np.add(size, 8)).any()
-        or (landmarks.visibility[list(LIMBS[6:])] < SEEN).any()
-    ):
-        return "cut"
-    if box[0] < 1 or box[2] > size[0] - 1:
-        return "cut"
-    if not is_upright(landmarks, box[3] - box[1]):
-        return "not upright"
-    at = np.clip(np.rint(xy).astype(int), 0, np.subtract(size, 1))
-    if mask[at[:, 1], at[:, 0]].mean() < 0.7:
-        return "hidden"
-    return "sitting" if _sits(landmarks) else ""
-
-
-def _sits(landmarks: Landmarks) -> bool:
-    """Both thighs far from hanging down, as long as the trunk leads one to expect them."""
-    at = lambda joint: landmarks.xy[[INDEX[f"l_{joint}"], INDEX[f"r_{joint}"]]]
-    trunk = abs(at("hip").mean(axis=0)[1] - at("shoulder").mean(axis=0)[1])
-    drop = (at("knee") - at("hip"))[:, 1]
-    return bool((drop < 0.54 * trunk).all())
-
-
-def _cropped(person: Person) -> Person:
-    """The person with as much of the photograph as `SURROUNDINGS` says, resized where she is larger than needed."""
-    from PIL import Image
-
-    x0, y0, x1, y1 = person.box
-    half = SURROUNDINGS * max(y1 - y0, x1 - x0) / 2
-    height, width = person.mask.shape
-    left, top = max(0, int((x0 + x1) / 2 - half)), max(0, int((y0 + y1) / 2 - half))
-    right, bottom = min(width, int((x0 + x1) / 2 + half) + 1), min(height, int((y0 + y1) / 2 + half) + 1)
-    image, mask = person.image[top:bottom, left:right], person.mask[top:bottom, left:right]
-    scale = min(1.0, MOST_HEIGHT / (y1 - y0))
-    if scale < 1:
-        size = round(image.shape[1] * scale), round(image.shape[0] * scale)
-        image = np.array(Image.fromarray(image).resize(size, Image.Resampling.LANCZOS))
-        mask = np.array(Image.fromarray(mask).resize(size, Image.Resampling.BILINEAR))
-    move = lambda box: tuple(float(scale * (v - o)) for v, o in zip(box, (left, top) * 2, strict=True))
-    landmarks = person.landmarks.moved((float(left), float(top)), scale)
-    return replace(
-        person,
-        image=np.ascontiguousarray(image),
-        mask=np.ascontiguousarray(mask),
-        box=move(person.box),
-        landmarks=landmarks,
-        others=tuple(move(box) for box in person.others),
-    )
+    return found, left_out

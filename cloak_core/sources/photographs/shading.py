@@ -25,10 +25,26 @@ def shading(
     A median takes out thin lines, and a soft limit the strong edges of prints and stripes; `height` is the person's,
     in pixels. 1 outside the mask; within `LIMITS` inside it.
     """
+    sigma = max(FOLDS * height, 2.0)
+    window = around(mask, 4 * sigma + 2)  # all that the filters reach from her
+    light = np.ones(mask.shape)
+    light[window] = _shading(image[window], mask[window], sigma)
+    return light
+
+
+def around(mask: Bool[np.ndarray, "h w"], margin: Number) -> tuple[slice, slice]:
+    """Find the part of a picture within a margin around a mask, which is not empty."""
+    beyond = int(np.ceil(margin)) + 1
+    sides = [np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)]
+    return tuple(slice(max(int(at[0]) - beyond, 0), int(at[-1]) + 1 + beyond) for at in sides)
+
+
+def _shading(
+    image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], sigma: Number
+) -> Float[np.ndarray, "h w"]:
     luminance = np.log((image @ LUMINANCE + 8) / 263)
     luminance = median_filter(luminance, size=3)
     inside = mask.astype(float)
-    sigma = max(FOLDS * height, 2.0)
     low = gaussian_filter(luminance * inside, sigma) / np.maximum(gaussian_filter(inside, sigma), 1e-3)
     contrast = SOFTNESS * np.tanh((luminance - low) / SOFTNESS)
     return np.where(mask, np.clip(np.exp(contrast), *LIMITS), 1.0)

@@ -12,6 +12,7 @@ from cloak_core.core.linear import SparseMap
 from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.view import BakedView
 from cloak_core.core.worn import Worn
+from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.views import (
     Framing,
@@ -58,7 +59,8 @@ class PeopleSource:
 
     def __init__(self, fits: Sequence[Fit], worn: Worn, settings: PeopleSettings, size: int, seed: int = 0) -> None:
         """seed: of the run, which decides in which order people are shown."""
-        self.fits, self.worn, self.settings, self.size, self.seed = tuple(fits), worn, settings, size, seed
+        self.fits, self.worn, self.settings, self.size, self.seed = fits, worn, settings, size, seed
+        self._last: tuple[int, np.ndarray] = -1, np.zeros(0, np.int64)
         self._position = logo_positions(worn.logo.topology, worn.logo.face_ids)
 
     @property
@@ -75,13 +77,22 @@ class PeopleSource:
         random: np.random.Generator,
     ) -> dict[str, np.ndarray]:
         """See `Source`. Column `person`: everybody equally often, in random order."""
+        if isinstance(self.fits, Fits):  # those of the next step are read from disk meanwhile
+            self.fits.expect(self._people_of(images + len(images)).tolist())
+        return {"person": self._people_of(images)}
+
+    def _people_of(self, images: Int[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
         rounds, places = np.divmod(images, self.members)
-        orders = {
-            r: np.random.default_rng([self.seed, _ORDER, 0, r]).permutation(self.members)
-            for r in np.unique(rounds).tolist()
-        }
+        orders = {r: self._order(r) for r in np.unique(rounds).tolist()}
         person = [orders[r][place] for r, place in zip(rounds.tolist(), places.tolist(), strict=True)]
-        return {"person": np.array(person, np.int64)}
+        return np.array(person, np.int64)
+
+    def _order(self, number: int) -> Int64[np.ndarray, " N"]:
+        """The order in which a round shows everybody."""
+        if self._last[0] != number:
+            order = np.random.default_rng([self.seed, _ORDER, 0, number]).permutation(self.members)
+            self._last = number, order
+        return self._last[1]
 
     def view(self, shown: Mapping[str, float], seed: int) -> BakedView:
         """See `Source`."""
@@ -111,8 +122,8 @@ def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings
     mirror, softness = bool(random.random() < settings.people_mirror), 1 + random.uniform(0, settings.people_soft)
     starts = []
     for low, high, most, move in (
-        (x0, x1, fit.person.mask.shape[1], away[0]),
-        (y0, y1, fit.person.mask.shape[0], away[1]),
+        (x0, x1, fit.person.shape[1], away[0]),
+        (y0, y1, fit.person.shape[0], away[1]),
     ):
         free = max(side - (high - low), 0) / 2 + settings.people_shift * tall
         start = (low + high - side) / 2 + move * min(free, 0.5 * side)

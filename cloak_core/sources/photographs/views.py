@@ -19,8 +19,8 @@ from cloak_core.core.cameras import Number
 from cloak_core.core.cloth import cloth_coordinates
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.view import BakedView
+from cloak_core.sources.photographs.choosing import Box
 from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.people import Box
 from cloak_core.sources.photographs.rig import body_rig, faces_on_rig
 
 PADDING = 0.5
@@ -68,7 +68,7 @@ def framing_of(fit: Fit, context: Number = CONTEXT, size: int = 416) -> Framing:
     """The square about a person that judges: `context` heights of her box, moved into the photograph where it fits."""
     x0, y0, x1, y1 = fit.person.box
     side = context * max(y1 - y0, x1 - x0)
-    height, width = fit.person.mask.shape
+    height, width = fit.person.shape
     inside = lambda start, most: min(max(start, 0.0), most - side) if side <= most else (most - side) / 2
     return Framing(inside((x0 + x1 - side) / 2, width), inside((y0 + y1 - side) / 2, height), side, size)
 
@@ -110,7 +110,7 @@ def photograph_view(fit: Fit, worn: SparseMap, framing: Framing, looseness: Loos
     The base image is the photograph; the box is the person's; the provenance names photograph, person and the boxes of
     the other people in the image.
     """
-    height, width = fit.person.mask.shape
+    height, width = fit.person.shape
     left = np.ones(height * width, np.float32)
     shares = worn.to_scipy()
     left[fit.pixels] -= np.asarray(shares.sum(axis=1)).ravel()
@@ -139,13 +139,13 @@ def photograph_view(fit: Fit, worn: SparseMap, framing: Framing, looseness: Loos
 
 def person_mask(fit: Fit, framing: Framing) -> Bool[Tensor, "s s"]:
     """True where a pixel of the image shows the person by half or more."""
-    down, across = _kernels(framing, *fit.person.mask.shape)
+    down, across = _kernels(framing, *fit.person.shape)
     return torch.from_numpy(across @ (down @ fit.person.mask.astype(np.float32)).T >= 0.5).T
 
 
 def _moved_rows(fit: Fit, looseness: Looseness) -> np.ndarray:
     """For each row of the fit the row whose faces it shows: its own where the move leads off the person."""
-    height, width = fit.person.mask.shape
+    height, width = fit.person.shape
     x0, y0, x1, y1 = fit.person.box
     x, y = fit.pixels % width, fit.pixels // width
     from_x = (x0 + x1) / 2 + (x - (x0 + x1) / 2) / looseness.stretch[0] - looseness.move[0] * (y1 - y0)
@@ -159,8 +159,7 @@ def _moved_rows(fit: Fit, looseness: Looseness) -> np.ndarray:
 
 
 def _light(fit: Fit, looseness: Looseness | None) -> np.ndarray:
-    shading = fit.shading.reshape(-1)[fit.pixels]
-    return shading if looseness is None else shading**looseness.folds * looseness.exposure
+    return fit.shading if looseness is None else fit.shading**looseness.folds * looseness.exposure
 
 
 def _kernels(framing: Framing, height: int, width: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

@@ -30,6 +30,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodySource
 from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import faces_on_rig
 from cloak_core.sources.photographs.source import PeopleSource
@@ -137,7 +138,7 @@ class Pool:
         people: Sequence[Fit] = (),
     ) -> None:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
-        self.given, self.people = tuple(given), tuple(people)
+        self.given, self.people = tuple(given), Fits.of(people)
         if self.people:
             faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
         self.device = torch.device(detector.device)

@@ -10,7 +10,7 @@ from cloak_core.core.settings.components import RunSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.fits import NOBODY, Fits
 
 _STREAM = 2
 """Of random numbers, apart from those of `sampling`."""
@@ -22,7 +22,7 @@ class TrainingData:
 
     bodies: Bodies
     backgrounds: Backgrounds
-    people: tuple[Fit, ...] = ()
+    people: Fits = NOBODY
 
 
 def set_aside(settings: RunSettings, material: TrainingData) -> tuple[TrainingData, TrainingData | None]:
@@ -39,10 +39,12 @@ def set_aside(settings: RunSettings, material: TrainingData) -> tuple[TrainingDa
         raise InputError(f"--held-out {settings.held_out:g}: a single background cannot be split")
     image, held_image = _split(random, len(backgrounds), settings.held_out)
     pose, held_pose = _split(random, bodies.pose_count, settings.held_out) if bodies.pose_count > 1 else ([0], [0])
-    photographs = list(dict.fromkeys(fit.person.photograph for fit in material.people))
+    people = material.people.people
+    photographs = list(dict.fromkeys(person.photograph for person in people))
     apart = {photographs[k] for k in _split(random, len(photographs), settings.held_out)[1]} if photographs else set()
-    kept = tuple(fit for fit in material.people if fit.person.photograph not in apart)
-    held = tuple(fit for fit in material.people if fit.person.photograph in apart)
+    is_apart = [person.photograph in apart for person in people]
+    kept = material.people.select(i for i, is_held in enumerate(is_apart) if not is_held)
+    held = material.people.select(i for i, is_held in enumerate(is_apart) if is_held)
     return (
         TrainingData(bodies.select_poses(pose), backgrounds.subset(image), kept),
         TrainingData(bodies.select_poses(held_pose), backgrounds.subset(held_image), held),

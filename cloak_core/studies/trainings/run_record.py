@@ -14,10 +14,10 @@ from cloak_core.core.settings import TrainSettings, settings_record
 from cloak_core.core.technique import NO_TECHNIQUES
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.versions import FORMAT_VERSION
-from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays, sha256_record
+from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
 from cloak_core.files.likeness import pose_shape
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import people_identity
+from cloak_core.sources.photographs.fits import Fits, people_identity
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.trainings.material import TrainingData
 
@@ -107,16 +107,15 @@ def _people(fits: Sequence[Fit]) -> dict | None:
     """Record who was trained on, photographs by content and by name, so that evaluation can tell them from others."""
     if not fits:
         return None
-    photographs = {fit.person.photograph: fit.person for fit in fits}.values()
+    people = Fits.of(fits).people
+    photographs = {person.photograph: person for person in people}.values()
     return {
         "count": len(fits),
         "photographs": [person.photograph for person in photographs],
         "licences": [person.licence for person in photographs],
         "pixels": [person.pixels for person in photographs],
         "looks": [person.look for person in photographs],
-        "identity": people_identity(fit.person for fit in fits),
-        # As versions before "identity" recorded and compare it.
-        "sha256": sha256_record({"fits": [fit.identity for fit in fits]}),
+        "identity": people_identity(people),
     }
 
 

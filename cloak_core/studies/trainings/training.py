@@ -25,6 +25,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodySource
+from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.trainings.first_colors import first_colors, on_squares
@@ -75,7 +76,7 @@ def train(
     Ensemble(settings.objective, len(detectors))  # refuses what does not fit
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
-    data = TrainingData(bodies, backgrounds, tuple(people))
+    data = TrainingData(bodies, backgrounds, Fits.of(people))
     asked = Asked(settings, data, logo, detectors, query_prior, dict(inputs or {}))
     try:
         with join_world(local_device(settings.compute.device), alone) as world:

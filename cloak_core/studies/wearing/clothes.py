@@ -93,7 +93,7 @@ class OwnClothes:
         """See `Clothes`."""
         worn = shares_of(fit, self.position, self.count)
         shares = worn.to_scipy()
-        light = fit.shading.reshape(-1)[fit.pixels][:, None] * fit.tint
+        light = fit.shading[:, None] * fit.tint
         seen = fit.person.image.reshape(-1, 3)[fit.pixels] / 255 / light
         total = np.maximum(np.asarray(shares.sum(axis=0)).ravel(), 1e-9)
         return worn, np.clip((shares.T @ seen) / total[:, None], 0, 1).astype(np.float32)

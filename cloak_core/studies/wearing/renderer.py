@@ -19,6 +19,7 @@ from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.paint import compose
 from cloak_core.core.view import BakedView
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.posing import seen_from
 from cloak_core.sources.photographs.rig import body_rig
@@ -39,7 +40,7 @@ class PeopleRenderer:
     ) -> None:
         self.fits, self.settings, self._backgrounds, self._device = fits, settings, backgrounds, device
         self.clothes = {one.name: one for one in (*clothes, *controls())}
-        people, rig = [fit.person for fit in fits], body_rig()
+        people, rig = Fits.of(fits).people, body_rig()
         self.trials = pd.DataFrame(
             {
                 "pose": np.arange(len(fits)),
@@ -51,7 +52,7 @@ class PeopleRenderer:
     @property
     def body_names(self) -> tuple[str, ...]:
         """Names of the people."""
-        return tuple(fit.person.name for fit in self.fits)
+        return tuple(person.name for person in Fits.of(self.fits).people)
 
     @property
     def background_names(self) -> tuple[str, ...]:

@@ -8,7 +8,9 @@ import torch
 
 from cloak_core.core.paint import compose
 from cloak_core.files.errors import InputError
+from cloak_core.jobs.processes import Processes
 from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs.compact import pack_fit, unpack_fit
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.fitting import Fitter
 from cloak_core.sources.photographs.people import load_people
@@ -60,11 +62,30 @@ def test_without_depth_the_front_is_fitted_as_well(tmp_path):
     assert np.median(away) < 0.05
 
 
-def test_fits_come_back_from_the_cache_with_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "cache"))
+@pytest.mark.parametrize("cache", ["kept", "off"])
+def test_fits_come_back_from_the_cache_with_the_same_bits(tmp_path, monkeypatch, cache):
+    monkeypatch.setenv("CLOAK_CACHE", "off" if cache == "off" else str(tmp_path / "cache"))
     people = load_people(write_people(tmp_path / "people", 1))
     first, again = fit_people(people)[0], fit_people(people)[0]
     assert first.identity == again.identity and np.array_equal(first.rest, again.rest)
+
+
+def test_a_stored_fit_is_small_and_its_views_are_the_same(fitted):
+    packed = pack_fit(fitted)
+    assert len(packed) < 400_000
+    stored = unpack_fit(packed, fitted.person)
+    for looseness in (None, Looseness(move=(0.02, 0.01), folds=1.3)):
+        framing = framing_of(fitted, size=96)
+        one, other = (dressed_image(fit, framing, 0.4, looseness)[0] for fit in (fitted, stored))
+        assert np.abs(one - other).max() < 1e-3
+    assert np.array_equal(stored.rest, fitted.rest)
+
+
+def test_processes_fit_people_to_the_same_bits(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLOAK_CACHE", "off")
+    people = load_people(write_people(tmp_path, 2))
+    here, there = fit_people(people), fit_people(people, executor=Processes(1))
+    assert [fit.identity for fit in here] == [fit.identity for fit in there]
 
 
 @pytest.mark.parametrize("scene", ["sample", "sample-clothed:unseen"])

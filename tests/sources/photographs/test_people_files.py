@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from cloak_core.files.errors import InputError
+from cloak_core.sources.photographs import reader
 from cloak_core.sources.photographs.masks import decode_mask
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import SIZE, photograph, write_people
@@ -170,3 +171,45 @@ def test_nobody_to_dress_is_said_with_the_reasons(tmp_path):
     path = edit(write_people(tmp_path, 1), lambda record: record["annotations"][0].update(iscrowd=1))
     with pytest.raises(InputError, match=r"nobody in it can be dressed \(crowd 1\)"):
         load_people(path)
+
+
+def test_a_photograph_with_nobody_to_dress_is_not_opened(tmp_path):
+    path = edit(write_people(tmp_path), lambda record: record["annotations"][1].update(iscrowd=1))
+    (tmp_path / "made1.png").unlink()
+    people = load_people(path)
+    assert len(people) == 1 and people.left_out == {"crowd": 1}
+
+
+def test_a_photograph_is_read_again_when_somebody_looks_and_only_if_it_is_the_same(tmp_path):
+    person = load_people(write_people(tmp_path, 1)).people[0]
+    photograph(seed=5).save(tmp_path / "made0.png")
+    with pytest.raises(InputError, match=r"made0.png: the photograph changed"):
+        _ = person.image
+
+
+def test_a_second_reading_knows_everybody_without_decoding(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "cache"))
+    path = write_people(tmp_path, 2)
+    first = load_people(path)
+    monkeypatch.setattr(reader, "upright_picture", None)
+    again = load_people(path)
+    assert [p.identity for p in again] == [p.identity for p in first] and again.photographs == first.photographs
+
+
+def test_several_files_are_one_set_and_nobody_counts_twice(tmp_path):
+    one, other = write_people(tmp_path / "a", 2), write_people(tmp_path / "b", 3)
+    (tmp_path / "list.txt").write_text("# shards\na/people.json[0,1]\n\nb/people.json\n")
+    for spec in (f"{one},{other}", tmp_path / "list.txt", f"{one}[0,1],{other}"):
+        people = load_people(spec)
+        assert len(people) == 3 and people.left_out == {"listed twice": 2}
+    other.rename(tmp_path / "a" / "more.json")
+    with pytest.raises(InputError, match=r"image 3 .made2.png.: no such photograph"):
+        load_people(tmp_path / "a" / "*.json")
+    assert len(load_people(f"{tmp_path / 'a' / '*.json'}[0]")) == 1
+
+
+def test_a_list_of_nothing_is_refused(tmp_path):
+    (tmp_path / "list.txt").write_text("# none\n")
+    for spec, words in ((tmp_path / "list.txt", "holds one a line"), (tmp_path / "*.json", "no file has such a name")):
+        with pytest.raises(InputError, match=words):
+            load_people(spec)
