@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cloak_core.core.loop import RunResult
     from cloak_core.core.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
+    from cloak_core.detectors.maite import SuccessMetric
     from cloak_core.detectors.objects import as_detector
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
@@ -38,6 +39,7 @@ __all__ = [
     "Logo",
     "People",
     "RunResult",
+    "SuccessMetric",
     "TrainSettings",
     "as_detector",
     "evaluate",
@@ -66,6 +68,7 @@ _PLACES = {
     "Logo": "core.logo:Logo",
     "People": "sources.photographs.people:People",
     "RunResult": "core.loop:RunResult",
+    "SuccessMetric": "detectors.maite:SuccessMetric",
     "TrainSettings": "core.settings:TrainSettings",
     "as_detector": "detectors.objects:as_detector",
     "evaluate": "library:evaluate",

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.maite import MaiteModel, is_maite_model
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.files.errors import InputError, first_line
 
@@ -31,13 +32,17 @@ def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
     person in COCO and wherever persons are the only class. Any other `nn.Module` takes images [B, 3, H, W], RGB in
     [0, 1], and returns (boxes [B, N, 4] as xyxy in pixels, person scores [B, N] in [0, 1]), or `Detections`. Any other
     callable is a black box: it takes one picture [H, W, 3] uint8 and returns boxes [n, 4] and scores [n], or rows
-    [n, 5]. Modules are copied: the caller's keep their mode and their gradients. InputError: none of these.
+    [n, 5]. A model of MAITE's object-detection protocol is one, too (`maite.MaiteModel`). Modules are copied: the
+    caller's keep their mode and their gradients. InputError: none of these.
     """
     if isinstance(given, Detector):
         return given
     if isinstance(given, str):
         return load_detector(given, device=device)
-    if isinstance(given, nn.Module):
+    if is_maite_model(given):
+        made = _module(MaiteModel(given), given, device)
+        made.name = made.spec = str(given.metadata["id"])
+    elif isinstance(given, nn.Module):
         module = _copied(given)
         made = _torchvision(module) if _is_torchvision(module) else _module(module, type(given), device)
     elif callable(given) and not isinstance(given, type):

@@ -258,3 +258,18 @@ def test_most_commands_are_run_and_every_excuse_is_needed() -> None:
 def test_pages_show_every_command_that_people_use() -> None:
     shown = {find(command)[0] for page in PAGES for command in commands(page)}
     assert {"train", "evaluate", "report", "film", "judge", "print", "zoo export", "sweep", "harden"} <= shown
+
+
+def test_the_commands_of_the_dockerfile_are_understood() -> None:
+    """No engine builds it here: what it runs of ours is parsed, and what it copies is not shut out."""
+    text = (ROOT / "Dockerfile").read_text("utf-8").replace("\\\n", " ")
+    parts = [part.strip().removeprefix("RUN ") for line in text.splitlines() for part in line.split("&&")]
+    ran = [words(part)[3:] for part in parts if part.startswith("python -m cloak_core ")]
+    shown = [
+        words(line.removeprefix("#"))[6:] for line in text.splitlines() if line.startswith("#   docker run --rm -v")
+    ]
+    assert ran and shown
+    for name, options in map(find, (*ran, *shown)):
+        assert isinstance(parsing.parse(load(name), name, options), load(name))
+    ignored = (ROOT / ".dockerignore").read_text("utf-8").split()
+    assert not {"cloak_core", "blender_addon", "pyproject.toml", "setup.py", "README.md"} & set(ignored)

@@ -1,0 +1,113 @@
+"""MAITE's object-detection protocol, both ways: their models as our detectors, our measure as their metric.
+
+The protocol is structural, so nothing of MAITE is imported: a model takes images [C, H, W] and returns targets with
+`boxes` [n, 4] (xyxy), `labels` [n] and `scores` [n]; a metric has `reset`, `update` and `compute`; both have a record
+`metadata`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.detector.outcomes import found_as_person
+from cloak_core.detectors.classes import person_index
+from cloak_core.detectors.specs import PERSON
+from cloak_core.files.errors import InputError
+
+
+@runtime_checkable
+class Target(Protocol):
+    """Detections or the truth of one image, arrays of any library."""
+
+    boxes: object
+    labels: object
+    scores: object
+
+
+def is_maite_model(given: object) -> bool:
+    """Tell whether something is called as MAITE's models are: it has a record `metadata` with an "id"."""
+    metadata = getattr(given, "metadata", None)
+    return callable(given) and isinstance(metadata, Mapping) and "id" in metadata
+
+
+class MaiteModel(nn.Module):
+    """A model of MAITE's protocol as a module of ours: (boxes [B, N, 4], person scores [B, N]).
+
+    A black box unless it says `differentiable = True` of itself, and hands tensors with gradients back. InputError: its
+    metadata name no class "person" in index2label.
+    """
+
+    def __init__(self, model: object) -> None:
+        super().__init__()
+        self.model = model
+        self.differentiable = bool(getattr(model, "differentiable", False))
+        self.label = _person_label(model.metadata)
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Tensor, Tensor]:
+        with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
+            targets = self.model(list(images if self.differentiable else images.detach()))
+        found = [_persons(target, self.label, images) for target in targets]
+        boxes = nn.utils.rnn.pad_sequence([boxes for boxes, _ in found], batch_first=True)
+        scores = nn.utils.rnn.pad_sequence([scores for _, scores in found], batch_first=True)
+        return boxes.reshape(len(images), -1, 4), scores
+
+
+class SuccessMetric:
+    """Attack success as a metric of MAITE's: the share of true persons whom no predicted person box is on.
+
+    A box is on a person as everywhere here (`outcomes.found_as_person`): an overlap (IoU) of 0.5, or half of its own
+    area within. person: the label of persons, in predictions and truth; threshold: the score above which one counts.
+    """
+
+    def __init__(self, person: int = 0, threshold: float = THRESHOLD) -> None:
+        self.metadata = {"id": f"cloak-success-{threshold:g}"}
+        self.person, self.threshold = person, threshold
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._hidden, self._persons, self._images = 0, 0, 0
+
+    def update(self, preds: Sequence[Target], targets: Sequence[Target], metadata: object = None) -> None:
+        """Count a batch: predictions and truths, an image each; metadata of the images are not used."""
+        for predicted, true in zip(preds, targets, strict=True):
+            here = torch.zeros(1)
+            boxes, scores = _persons(predicted, self.person, here)
+            people, _ = _persons(true, self.person, here)
+            boxes = boxes[scores > self.threshold]
+            on = found_as_person(boxes.expand(len(people), -1, 4), people)
+            self._hidden += int((~on.any(dim=1)).sum())
+            self._persons += len(people)
+            self._images += 1
+
+    def compute(self) -> dict[str, float]:
+        """Return "success" in [0, 1] (nan where there was nobody), "persons" and "images"."""
+        success = self._hidden / self._persons if self._persons else float("nan")
+        return {"success": success, "persons": float(self._persons), "images": float(self._images)}
+
+
+def _person_label(metadata: Mapping) -> int:
+    names = metadata.get("index2label")
+    if not isinstance(names, Mapping) or not names:
+        raise InputError(f"MAITE model {metadata['id']}: its metadata have no index2label, which would name the person")
+    ordered = tuple(str(names.get(k, "")) for k in range(max(map(int, names)) + 1))
+    return person_index(ordered, PERSON, len(ordered), f"MAITE model {metadata['id']}")
+
+
+def _persons(target: Target, label: int, like: Tensor) -> tuple[Float[Tensor, "n 4"], Float[Tensor, " n"]]:
+    """Select a target's boxes and scores of one class; scores [n, classes] are that class's column, of every box."""
+    boxes, labels, scores = (_tensor(part, like) for part in (target.boxes, target.labels, target.scores))
+    if scores.dim() == 2:
+        return boxes.reshape(-1, 4), scores[:, label]
+    chosen = labels.reshape(-1) == label
+    return boxes.reshape(-1, 4)[chosen], scores.reshape(-1)[chosen]
+
+
+def _tensor(values: object, like: Tensor) -> Tensor:
+    return torch.as_tensor(values).to(like.device, torch.float32)
