@@ -26,11 +26,11 @@ lint: .venv/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-extension: .venv-blender/.installed
+extension: .venv/.installed .venv-blender/.installed
 	.venv-blender/bin/python tools/build_extension.py
 
 # Our own extension repository: dist/repository, for any web server; with CLOAK_URL its manifest names the site.
-repository: .venv-blender/.installed
+repository: .venv/.installed .venv-blender/.installed
 	.venv-blender/bin/python tools/build_extension.py --out dist/repository --repository
 
 # What is uploaded: the wheel and the sources, checked. CLOAK_URL=https://... is where the README's links lead then.

@@ -78,10 +78,18 @@ def stage(folder: Path) -> None:
         for path in (folder / room).rglob("*.py"):  # whose licence in the repository, Apache-2.0, allows for this one
             path.write_text(LICENCE + path.read_text("utf-8"), "utf-8")
     shutil.copyfile(ROOT / "LICENSES" / "GPL-3.0-or-later.txt", folder / "LICENSE")
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    command = [trainer_python(), str(ROOT / "tools" / "blender_assets.py"), str(folder / "assets")]
+    subprocess.run(command, check=True, env=environment | {"PYTHONPATH": str(ROOT)})
     manifest = (ROOT / "blender_manifest.toml").read_text("utf-8")
     if site := os.environ.get("CLOAK_URL", "").rstrip("/"):
         manifest = manifest.replace('type = "add-on"\n', f'type = "add-on"\nwebsite = "{site}"\n')
     (folder / "blender_manifest.toml").write_text(manifest, "utf-8")
+
+
+def trainer_python() -> str:
+    """The Python with cloak_core, which makes the assets; the builder's own has no place for it."""
+    return os.environ.get("CLOAK_TRAINER") or str(ROOT / ".venv" / "bin" / "python")
 
 
 def find_builder() -> list[str] | None:

@@ -13,13 +13,13 @@ from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..trainer.command_lines import SAMPLES, sample_words
 from ..trainer.jobs import Job, run_cloak
-from ..trainer.preferences import user_folder
+from ..trainer.preferences import trainer_reason, user_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
 from ..ui.window import areas, main_region
 from .garments import faces_over, wearable
 from .objects import logo_reason, subdivide
-from .samples import CLOTHES, add_people
+from .samples import ASSETS, CLOTHES, add_people
 
 
 class CLOAK_OT_subdivide(BodyOperator, label="Subdivide Body"):
@@ -59,6 +59,8 @@ or walking and running in a shirt and trousers that are objects of their own"""
     )
 
     def run(self, context: bpy.types.Context) -> str:
+        if self.people == "BARE" and trainer_reason() and (ASSETS / "sample").is_dir():
+            return _add(None, ASSETS / "sample", self.people)
         folder, people = user_folder("sample"), self.people
         scene = folder / "scene"
         shutil.rmtree(scene, ignore_errors=True)
@@ -67,7 +69,7 @@ or walking and running in a shirt and trousers that are objects of their own"""
         return f"Fetching the sample body from the trainer{waits}"
 
 
-def _add(job: Job, scene: Path, people: str) -> str | None:
+def _add(job: Job | None, scene: Path, people: str) -> str:
     bodies, clothed = read_scene(scene), people == "CLOTHED"
     obj = add_people(bpy.context, bodies, clothed, "Sample Body")
     obj.cloak.made_from = f"{SAMPLES[people]}|{bodies.topology}"

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cloak's own people as objects: their skin and, where they wear any, their clothes over it."""
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 
@@ -14,6 +16,7 @@ from .objects import blender_axes
 BODY, GARMENTS = "body", ("shirt", "trousers")
 """Regions of the clothed people that are objects of their own, in the order in which faces are numbered through."""
 CLOTHES = "clothes"  # the logo that lies on all garments
+ASSETS = Path(__file__).parents[1] / "assets"  # of the built extension: some sample people, and ready cloaks
 GAP = 0.3  # distance between a new body and its neighbour, in Blender's units
 
 

@@ -1,19 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of step 5: colours on and off, colour management, report, render check."""
 
+import shutil
 from pathlib import Path
 
 import bpy
+from bpy.props import EnumProperty
 
 from ..blender import colors
-from ..blender.blend_paths import absolute
-from ..blender.mesh_arrays import mode_reason
+from ..blender.blend_paths import absolute, blend_folder, first_free, portable
+from ..blender.mesh_arrays import mode_reason, topology
 from ..body.garments import is_dressed, undress
-from ..body.objects import active_body, object_of, of_the_body, refusal
+from ..body.objects import active_body, body_reason, object_of, of_the_body, refusal
+from ..body.samples import ASSETS, add_people
+from ..exchange.scenes import read_scene
+from ..files.reading import read_json
+from ..files.writing import written
 from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
+from ..properties import output_folder
 from ..session import session
-from ..trainer.command_lines import cloak_command
+from ..trainer.command_lines import SAMPLES, cloak_command
 from ..trainer.jobs import Job, launch, run_cloak, waits
 from ..trainer.preferences import trainer
 from ..training import run_list, runs
@@ -57,6 +64,39 @@ class CLOAK_OT_result_load(BodyOperator, label="Load Colours", needs=wear_reason
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         count = runs.import_colors(context, obj, run_of(obj))
         return f"{count:,} faces of '{obj.name}' wear the trained colours"
+
+
+_ready: list[tuple[str, str, str]] = []  # Blender keeps no copy of a menu's words: they must live on
+
+
+def ready_cloaks(_: object, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    """The cloaks that come with the extension: name, title, and what they are."""
+    if not _ready:
+        for path in sorted(ASSETS.glob("*/zoo.json")):
+            _ready.append((path.parent.name, path.parent.name, str(read_json(path).get("about", ""))))
+    return _ready
+
+
+class CLOAK_OT_ready_cloak(CloakOperator, label="Ready Cloak"):
+    """Wear a cloak that comes with Cloak, on the sample body, which is added where the active body is another. The \
+run is copied to the output folder"""
+
+    bl_options = WITH_UNDO
+
+    cloak: EnumProperty(name="Ready Cloak", description="Which one to wear", items=ready_cloaks)
+
+    def run(self, context: bpy.types.Context) -> str:
+        source = ASSETS / self.cloak
+        _, expected = runs.trained_faces(source)
+        if body_reason(context) or topology(active_body(context)) != expected:
+            bodies = read_scene(ASSETS / "sample")
+            add_people(context, bodies, False, "Sample Body").cloak.made_from = f"{SAMPLES['BARE']}|{bodies.topology}"
+        obj, place = active_body(context), first_free(output_folder(context.scene.cloak), self.cloak)
+        with written(place):
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copytree(source, place)
+        obj.cloak.run = portable(str(place), blend_folder())
+        return f"'{obj.name}' wears {place.name}: {runs.import_colors(context, obj, place):,} faces"
 
 
 class CLOAK_OT_result_toggle(BodyOperator, label="Toggle Cloak", needs=wear_reason):

@@ -15,6 +15,7 @@ from ..ui.drawing import icon_of, short
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import eye
 from .evaluations import CONTROLS, Evaluation, Judged
+from .operators import ready_cloaks
 from .outputs import made
 from .reasons import result_reason
 from .render_check import Verdict
@@ -40,6 +41,8 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
 
     def draw(self, context: bpy.types.Context) -> None:
         reason = result_reason(context)
+        if ready_cloaks(None, context):
+            self.layout.operator_menu_enum("cloak.ready_cloak", "cloak", text="Ready Cloaks", icon="MATCLOTH")
         column = self.gate(context, reason)
         dressed = not reason and is_dressed(active_body(context))
         column.operator("cloak.result_load", icon="IMPORT")

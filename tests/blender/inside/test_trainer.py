@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 import cloak
 import pytest
+from cloak.blender import colors
 from cloak.files.errors import InputError
 from cloak.trainer import command_lines, program
 from cloak.trainer import preferences as preferences_module
@@ -71,6 +72,16 @@ def test_without_a_trainer_what_needs_one_is_not_there_and_the_rest_works(ready,
     assert not Path(bpy.context.scene.cloak.output).exists()  # nothing half-written
     bpy.ops.cloak.logo_stamp()
     bpy.ops.cloak.copy_install_line()
+    bpy.ops.cloak.add_sample_body()
+    sample = bpy.context.object
+    assert sample.name.startswith("Sample Body") and len(sample.data.polygons) == 13_486
+    bpy.ops.cloak.ready_cloak(cloak="builtin-sample")
+    assert bpy.context.object is sample and colors.is_dressed(sample)
+    assert Path(sample.cloak.run).parent == Path(bpy.context.scene.cloak.output)
+    bpy.ops.cloak.bake(size=1024)
+    bpy.context.view_layer.objects.active = ready
+    bpy.ops.cloak.ready_cloak(cloak="transfer-people")
+    assert bpy.context.object not in (sample, ready) and colors.is_dressed(bpy.context.object)
 
 
 def test_a_wrong_program_is_said(ready, tmp_path):
