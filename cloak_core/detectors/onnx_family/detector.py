@@ -105,7 +105,7 @@ def load_onnx(request: Request) -> OnnxDetector:
     try:
         detector = _assemble(request, named, file, _converted(file, size, request.fold))
         _compare(detector, file, request.fold)
-        if detector.partial_gradient:
+        if detector.partial_gradient and request.fold:
             _log.warning("%s: of its gradient, %s; its graph shows no others", file.path, detector.partial_gradient)
         if not request.fold:
             detector.weights = TrainableWeights(detector.network.graph, file.model, read_proto(file.path)[0])

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,6 +72,13 @@ class TrainableWeights:
                 if parameter is not None and id(parameter) not in trained:
                     delattr(module, attribute)
                     module.register_buffer(attribute, parameter.detach())
+
+    def check(self, path: Path) -> None:
+        """Check that a detector can learn. NotTrainable: nothing is trained, or the graph itself chooses boxes."""
+        if not self.parameters:
+            raise NotTrainable(f"{path}: has no weights of convolutions or linear layers that could be trained")
+        if self.chooses:
+            raise NotTrainable(f"{path}: its graph chooses boxes itself (node {self.chooses}), which stand in no order")
 
     def write_into(self, original: onnx.ModelProto) -> None:
         """Write the weights that have changed into the file's graph, in place, in the precision that they have there.

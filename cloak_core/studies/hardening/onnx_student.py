@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from cloak_core.detectors.classes import COCO, VOC, names_beside
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
 from cloak_core.detectors.onnx_family.model_file import read_model, read_proto
-from cloak_core.detectors.onnx_family.weights import NotTrainable
 from cloak_core.detectors.pixels import fit
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_bytes
@@ -24,25 +23,12 @@ from cloak_core.studies.hardening.student import Student
 class OnnxStudent(Student):
     """A converted graph whose boxes stand in an order that its weights do not change.
 
-    Normalisations that the file has folded into its convolutions stay folded and learn with them. InputError: nothing
-    in the file can be trained, or the graph itself chooses boxes.
+    Normalisations that the file has folded into its convolutions stay folded and learn with them.
     """
 
     files = (".onnx",)
     detector: OnnxDetector
     teacher: OnnxDetector
-
-    def __init__(self, detector: OnnxDetector, teacher: OnnxDetector, spec: str) -> None:
-        super().__init__(detector, teacher, spec)
-        if not detector.weights.parameters:
-            raise NotTrainable(
-                f"{detector.path}: has no weights of convolutions or linear layers that could be trained"
-            )
-        if detector.weights.chooses:
-            node = detector.weights.chooses
-            raise NotTrainable(
-                f"{detector.path}: its graph chooses boxes itself (node {node}), which stand in no order"
-            )
 
     @property
     def network(self) -> nn.Module:

@@ -7,6 +7,7 @@ import torch
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.onnx_family.detector import OnnxDetector
 from cloak_core.detectors.onnx_family.weights import NotTrainable
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
@@ -26,11 +27,12 @@ def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
         known = f"{', '.join(TRAINABLE[:-1])} and {TRAINABLE[-1]}"
         raise InputError(f"harden {spec}: cannot train {family!r}, only {known}; {SOURCE}")
     try:
-        return _student(
-            family, spec, load_detector(spec, device=device, fold=False), load_detector(spec, device=device)
-        )
+        detector = load_detector(spec, device=device, fold=False)
+        if isinstance(detector, OnnxDetector):
+            detector.weights.check(detector.path)
     except NotTrainable as error:
         raise InputError(f"harden {error}; {SOURCE}") from None
+    return _student(family, spec, detector, load_detector(spec, device=device))
 
 
 def _student(family: str, spec: str, detector: Detector, teacher: Detector) -> Student:
