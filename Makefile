@@ -6,7 +6,7 @@ export PYTHONPATH := $(CURDIR)$(if $(PYTHONPATH),:$(PYTHONPATH))
 # where the environment says not to: compiling them anew takes each process 12 seconds.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
-.PHONY: demo check test test-all lint extension repository dist docs
+.PHONY: demo check gpu test test-all lint extension repository dist docs
 
 demo: .venv/.installed
 	$(BIN)/python -m cloak_core demo --out runs/demo
@@ -21,6 +21,10 @@ test: .venv/.installed-test .venv-blender/.installed
 # Everything, also what is slow by nature; continuous integration runs it.
 test-all: .venv/.installed-test .venv-blender/.installed
 	$(PYTEST)
+
+# What only a CUDA device can tell; without one, which parts were not run.
+gpu: .venv/.installed
+	$(BIN)/python -m cloak_core bench gpu --out runs/gpu.json
 
 lint: .venv/.installed-test
 	$(BIN)/ruff format --check .

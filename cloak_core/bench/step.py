@@ -129,7 +129,7 @@ class Bench:
         """Time steps against these detectors together, and their floor: each alone on the ready batch."""
         settings = self.settings
         techniques = Techniques.built(Setup(settings, self.worn, detectors, self.device))
-        objective = Objective(settings, self.logo, detectors, self.device, techniques)
+        objective = Objective(settings, self.worn.bordered, detectors, self.device, techniques)
         grey = torch.full((self.worn.color_count, 3), 0.5, device=self.device)
         optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.worn)
         ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
@@ -182,7 +182,11 @@ class Bench:
 
 
 def _clothes(bodies: Bodies) -> np.ndarray:
-    """Faces of shirt and trousers."""
+    """Faces of shirt and trousers. InputError: the scene does not name them."""
+    if missing := {"shirt", "trousers"} - set(bodies.regions):
+        raise InputError(
+            f"--people: the scene {bodies.name} has no region {', '.join(sorted(missing))} to lay a cloth on"
+        )
     return np.flatnonzero(bodies.regions["shirt"] | bodies.regions["trousers"]).astype(np.int64)
 
 

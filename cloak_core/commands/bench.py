@@ -292,6 +292,33 @@ class Growth(Bench):
 
 
 @dataclass(kw_only=True)
+class Gpu(Bench):
+    """Measure on a CUDA device what only one can tell, in one record.
+
+    Without a device it says which parts were not run, and counts the operations of a new view.
+    """
+
+    example = "--out gpu.json"
+
+    people: str | None = None
+    """COCO file of people in photographs, for a step and `cloak wear` with people."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
+    out: Path | None = None
+    """JSON file to write."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.gpu import run_bench_gpu
+
+        result = run_bench_gpu(self.people, self.images, self.out, tell=err.print)
+        if result["failed"]:
+            result["failed"] = "; ".join(f"{name}: {words}" for name, words in result["failed"].items())
+        else:
+            del result["failed"]
+        return result
+
+
+@dataclass(kw_only=True)
 class Stability(Bench):
     """Check hard cases of visibility against exact integer arithmetic.
 

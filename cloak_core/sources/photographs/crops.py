@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -25,29 +24,6 @@ DECODED_BYTES = 256 << 20
 _decoded = MemoryCache(DECODED_BYTES)
 
 
-class Crop(Protocol):
-    """A part of a photograph, and the mask of a person in it."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width, pixels."""
-        ...
-
-    @property
-    def image(self) -> UInt8[np.ndarray, "h w 3"]:
-        """The pixels."""
-        ...
-
-    @property
-    def mask(self) -> Bool[np.ndarray, "h w"]:
-        """True on the person."""
-        ...
-
-    def expect(self) -> None:
-        """Have the system read the file ahead of need."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class HeldCrop:
     """A crop in memory."""
@@ -57,11 +33,11 @@ class HeldCrop:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """See `Crop`."""
+        """Height and width, pixels."""
         return self.mask.shape
 
     def expect(self) -> None:
-        """See `Crop`: it is there."""
+        """Do nothing: it is there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +56,7 @@ class FileCrop:
 
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
-        """See `Crop`. Do not write to it. InputError: the file changed, or is gone."""
+        """The pixels, decoded now or before; not to be written to. InputError: the file changed, or is gone."""
         key = (self.path, self.stamp, self.region, self.shape)
         image = _decoded.get(key)
         if image is None:
@@ -91,14 +67,18 @@ class FileCrop:
 
     @property
     def mask(self) -> Bool[np.ndarray, "h w"]:
-        """See `Crop`."""
+        """True on the person."""
         height, width = self.shape
         bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
         return np.unpackbits(bits, count=height * width).view(bool).reshape(height, width)
 
     def expect(self) -> None:
-        """See `Crop`."""
+        """Have the system read the file ahead of need."""
         read_ahead(self.path)
+
+
+Crop = HeldCrop | FileCrop
+"""A part of a photograph, and the mask of a person in it."""
 
 
 def pack_mask(mask: Bool[np.ndarray, "h w"]) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -135,13 +136,14 @@ def fit_people(
     run = executor.run if executor else in_order if len(missing) < ALONE else Processes().run
     if on_progress is not None:
         on_progress(done, len(people))
-    for outcome in run(jobs):
-        outcome.require()
-        for person, packed in zip(outcome.job.arguments["people"], outcome.result, strict=True):
-            shelf.put(person, packed)
-        done += len(outcome.result)
-        if on_progress is not None:
-            on_progress(done, len(people))
+    with contextlib.closing(run(jobs)) as outcomes:
+        for outcome in outcomes:
+            outcome.require()
+            for person, packed in zip(outcome.job.arguments["people"], outcome.result, strict=True):
+                shelf.put(person, packed)
+            done += len(outcome.result)
+            if on_progress is not None:
+                on_progress(done, len(people))
     fitting = [person for person in people.people if _covers(shelf.quality(person))]
     if not fitting and len(people):
         raise InputError(f"{people.name}: the body fits none of its {len(people)} people (landmarks of other people?)")

@@ -129,7 +129,8 @@ def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:
 
 def mean_quality(fits: Sequence[Fit]) -> dict[str, float]:
     """Average the quality of people's fits."""
-    return {key: round(float(np.mean([fit.quality[key] for fit in fits])), 4) for key in sorted(fits[0].quality)}
+    qualities = [fit.quality for fit in fits]
+    return {key: round(float(np.mean([one[key] for one in qualities])), 4) for key in sorted(qualities[0])}
 
 
 def _table(results: Results, people: People) -> str:

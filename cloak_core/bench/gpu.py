@@ -1,0 +1,222 @@
+"""`cloak bench gpu`: everything that is to be measured on a CUDA device, in one record.
+
+Without such a device nothing is timed: the record says which parts were not run, and what a new view asks of a device
+is counted on the CPU, operation by operation.
+"""
+
+from __future__ import annotations
+
+import collections
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from cloak_core.bench.detectors import run_bench_detectors
+from cloak_core.bench.growth import sphere
+from cloak_core.bench.records import table
+from cloak_core.bench.stability import run_bench_stability
+from cloak_core.bench.stability_checks import cuda as compare_with_cpu
+from cloak_core.bench.step import run_bench_step
+from cloak_core.bench.views import machine, run_bench_views
+from cloak_core.core.cameras import Camera
+from cloak_core.core.settings import make_settings
+from cloak_core.core.visibility.compiled import torch_alone
+from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.detectors.loading import load_detector
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json
+from cloak_core.jobs.job import Tell
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import load_people
+
+_log = logging.getLogger(__name__)
+TRIANGLES = 55_000
+"""Of the scene whose views are timed, as many as the paper's body has."""
+HIDDEN = 0.9
+"""Success in training, over ten steps, that the clock of a training waits for."""
+MOST_STEPS = 400
+DEVICE = "cuda"
+Part = Callable[["Material"], dict]
+
+
+class Material:
+    """What parts measure with."""
+
+    def __init__(self, people: str | None, images: Path | None) -> None:
+        """people: COCO file of people in photographs; images: their folder."""
+        self.people, self.images = people, images
+
+
+class Operations(TorchDispatchMode):
+    """Counts torch's operations within, but for views of a tensor: on a device each launches a kernel or more."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.counts: collections.Counter[str] = collections.Counter()
+
+    def __torch_dispatch__(self, func: object, types: object, args: tuple = (), kwargs: dict | None = None) -> object:
+        if not func.is_view:
+            self.counts[func.overloadpacket.__name__] += 1
+        return func(*args, **kwargs or {})
+
+
+def count_operations(samples: int | None = 1, triangles: int = 3000) -> dict[str, int]:
+    """Count the operations of a new view as a device runs them, by their names, the most frequent first.
+
+    samples: a pixel; the count does not depend on the scene.
+    """
+    with torch_alone():
+        cache = ViewCache(sphere(triangles), RenderSettings(samples=samples))
+        cache.build([(0, Camera(width=96, height=96))])  # what is done once
+        with Operations() as operations:
+            cache.build([(0, Camera(width=96, height=96, azimuth=20.0))])
+    return dict(operations.counts.most_common())
+
+
+def _bits(material: Material) -> dict:
+    """Hard cases against exact arithmetic, and a scene's views on the CPU against the device."""
+    result = run_bench_stability()
+    wrong, _ = compare_with_cpu()
+    return {"cases": result["cases"], "mismatches": result["mismatches"], "against_cpu": wrong}
+
+
+def _views(material: Material) -> dict:
+    return run_bench_views(sphere(TRIANGLES), device=DEVICE)
+
+
+def _launches(material: Material) -> dict:
+    """Kernels that a new view launches, as the profiler sees them."""
+    launches = {}
+    for samples in (1, 4):
+        cache = ViewCache(sphere(TRIANGLES), RenderSettings(samples=samples, device=DEVICE))
+        cache.build([(0, Camera())])
+        with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profile:
+            cache.build([(0, Camera(azimuth=20.0))])
+            torch.cuda.synchronize()
+        launches[str(samples)] = sum(event.device_type == torch.autograd.DeviceType.CUDA for event in profile.events())
+    return launches
+
+
+def _detectors(material: Material) -> dict:
+    return run_bench_detectors(("builtin",), device=DEVICE)
+
+
+def _step(material: Material) -> dict:
+    """A step with kept views, with fresh ones, and with people where there are any."""
+    bodies, backgrounds = load_scene("sample:train"), load_backgrounds("procedural:train")
+    detectors = [load_detector("builtin", device=DEVICE)]
+    steps = {}
+    for name, changes in {"kept": {}, "fresh": {"distance": "1.8:2.6"}}.items():
+        settings = make_settings("best", batch=8, device=DEVICE, **changes)
+        steps[name] = run_bench_step(bodies, detectors, backgrounds, settings=settings)
+    if material.people is not None:
+        settings = make_settings("photographs", batch=8, device=DEVICE)
+        fits = fit_people(load_people(material.people, material.images))
+        steps["people"] = run_bench_step(bodies, detectors, backgrounds, settings=settings, people=fits)
+    return steps
+
+
+def _training(material: Material) -> dict:
+    """Seconds and steps of a training until it hides the person from `HIDDEN` of ten steps' images."""
+    from cloak_core.library import train
+
+    last: collections.deque[float] = collections.deque(maxlen=10)
+    reached: dict[str, float] = {}
+    started = time.perf_counter()
+
+    def on_event(event: dict) -> None:
+        if event["type"] != "step":
+            return
+        last.append(event["success"])
+        if not reached and len(last) == last.maxlen and sum(last) / len(last) >= HIDDEN:
+            reached.update(step=event["step"], seconds=time.perf_counter() - started)
+
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder, "run")
+        train("sample:train", "chest+thighs", out=out, on_event=on_event, steps=MOST_STEPS, device=DEVICE)
+    return {"reached": reached or None, "steps": MOST_STEPS, "seconds": time.perf_counter() - started}
+
+
+def _commands(material: Material) -> dict:
+    """Seconds of whole commands: a hardening, and people dressed."""
+    commands = {"harden": ["harden", "builtin", "--steps", "50", "--no-assess"]}
+    if material.people is not None:
+        images = ["--images", str(material.images)] if material.images else []
+        worn = ["wear", "zoo:transfer-anny", "--people", material.people, "--detector", "builtin"]
+        commands["wear"] = [*worn, *images]
+    return {name: _seconds(command) for name, command in commands.items()}
+
+
+def _seconds(command: list[str]) -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        whole = [sys.executable, "-m", "cloak_core", *command, "--device", DEVICE, "--out", str(Path(folder, "out"))]
+        started = time.perf_counter()
+        done = subprocess.run(whole, capture_output=True, text=True)
+        if done.returncode:
+            raise InputError(f"cloak {' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
+        return time.perf_counter() - started
+
+
+PARTS: dict[str, Part] = {
+    "bits": _bits,
+    "views": _views,
+    "launches": _launches,
+    "detectors": _detectors,
+    "step": _step,
+    "training": _training,
+    "commands": _commands,
+}
+
+
+def run_bench_gpu(
+    people: str | None = None,
+    images: Path | None = None,
+    out: str | os.PathLike | None = None,
+    tell: Tell = _log.info,
+) -> dict:
+    """Measure every part of `PARTS` on the CUDA device, and count what a new view asks of any device.
+
+    people, images: of photographs, for a step and `wear` with people. With `out`, the record goes to that file, after
+    each part. "failed" holds the words of parts that ended with bad input; "not_run" says why parts were not run.
+    """
+    counts = {str(samples): count_operations(samples) for samples in (1, 4)}
+    operations = {samples: sum(names.values()) for samples, names in counts.items()}
+    is_there = torch.cuda.is_available()
+    record = {
+        "machine": machine(DEVICE if is_there else "cpu"),
+        "new_view_operations": operations,
+        "most_frequent": {samples: dict(list(names.items())[:8]) for samples, names in counts.items()},
+        "measured": {},
+        "failed": {},
+        "not_run": {} if is_there else dict.fromkeys(PARTS, "no CUDA device"),
+    }
+    for name in () if not is_there else PARTS:
+        try:
+            record["measured"][name] = PARTS[name](Material(people, images))
+        except InputError as error:
+            record["failed"][name] = str(error)
+        tell(f"{name}: {record['failed'].get(name, 'measured')}")
+        if out is not None:
+            write_json(Path(out), record)
+    if out is not None:
+        write_json(Path(out), record)
+    return record
+
+
+def gpu_table(record: dict) -> list[str]:
+    """Write which parts were measured, failed or were not run, as lines of Markdown."""
+    rows = [[name, "measured"] for name in record["measured"]]
+    rows += [[name, f"failed: {words}"] for name, words in record["failed"].items()]
+    rows += [[name, f"not run: {words}"] for name, words in record["not_run"].items()]
+    return table(["part", "state"], rows)
