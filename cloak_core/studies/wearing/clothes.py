@@ -204,7 +204,7 @@ def read_clothes(spec: str) -> Clothes:
         try:
             metres = float(picture["metres"])
         except ValueError:
-            metres = 0.0
+            raise InputError(f"{spec}: the width {picture['metres']} is not a number of metres") from None
         if not 0.01 <= metres <= 5:
             raise InputError(f"{spec}: {picture['metres']} metres are not between 0.01 and 5")
         name, pixels = _picture_of(picture["file"])
