@@ -11,7 +11,7 @@ from rich.console import Console
 
 from cloak_core.files.errors import InputError, Stopped, one_line
 from cloak_core.files.writing import is_taken
-from cloak_core.scene.opening import load_scene
+from cloak_core.sources.bodies.opening import load_scene
 
 __all__ = ["RANK", "Command", "Stopped", "err", "load_scene", "next_command", "out", "require_new", "share", "warn"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from cloak_core.attack.checkpoints import load_checkpoint
+from cloak_core.core.checkpoints import load_checkpoint
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written

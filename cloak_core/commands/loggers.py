@@ -11,9 +11,9 @@ from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Literal
 
+from cloak_core.core.pictures import read_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
-from cloak_core.scene.pictures import read_picture
 
 Log = Literal["tensorboard", "mlflow", "wandb"]
 SHOWN = {"step": "training", "held_out": "held out"}

@@ -93,7 +93,7 @@ def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, i
     These are a run's (`attack.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
     `step`, what is done. Both have `time`, the seconds since. InputError: the file is there already.
     """
-    from cloak_core.attack.events import EventLog
+    from cloak_core.core.events import EventLog
 
     log = None
     if events is not None:

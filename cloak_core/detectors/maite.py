@@ -14,9 +14,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors import THRESHOLD
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.detector.outcomes import found_as_person
 from cloak_core.detectors.classes import person_index
-from cloak_core.detectors.outcomes import found_as_person
 from cloak_core.detectors.specs import PERSON
 from cloak_core.files.errors import InputError
 

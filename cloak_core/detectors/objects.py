@@ -13,9 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.maite import MaiteModel, is_maite_model
-from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.files.errors import InputError, first_line
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.blocks import FENCED, ROOT
-from tests.scene.photographs.made_people import write_people
+from tests.sources.photographs.made_people import write_people
 
 PAGE = ROOT / "docs" / "howto" / "library.md"
 SMALLER = {

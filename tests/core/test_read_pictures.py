@@ -1,0 +1,51 @@
+"""Pictures of every depth: 16- and 32-bit grey is scaled, whoever reads it; what has no white is named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cloak_core.core.pictures import ORIENTATION, read_picture
+from cloak_core.detectors.check import read_image
+from cloak_core.files.errors import InputError
+from cloak_core.studies.wearing.clothes import read_clothes
+
+RAMP = np.linspace(0, 1, 40).reshape(5, 8)
+DEPTHS = {
+    "16.png": (RAMP * 65535).astype(np.uint16),
+    "16.tif": (RAMP * 65535).astype(np.uint16),
+    "32.tif": (RAMP * (2**31 - 1)).astype(np.int32),
+    "float.tif": RAMP.astype(np.float32),
+}
+
+
+def saved(folder: Path, name: str, **options: object) -> Path:
+    Image.fromarray(DEPTHS[name]).save(folder / name, **options)
+    return folder / name
+
+
+@pytest.mark.parametrize("name", DEPTHS)
+def test_deep_grey_is_scaled_wherever_it_is_read(name: str, tmp_path: Path) -> None:
+    path = saved(tmp_path, name)
+    for pixels in (
+        read_picture(path),
+        read_picture(path, "RGBA")[..., :3],
+        (read_image(path).permute(1, 2, 0) * 255).round().numpy(),
+        read_clothes(f"{path}@tile=0.5").picture,
+    ):
+        assert pixels.shape == (5, 8, 3) and np.abs(pixels[..., 0] - 255 * RAMP).max() <= 1
+
+
+@pytest.mark.parametrize("bad", [RAMP * 3, RAMP - 0.5, np.where(RAMP > 0.5, np.nan, RAMP)])
+def test_floats_beyond_white_are_named(bad: np.ndarray, tmp_path: Path) -> None:
+    Image.fromarray(bad.astype(np.float32)).save(tmp_path / "a.tif")
+    with pytest.raises(InputError, match=r"a\.tif: its pixels are from .* not 0 to 1: save it in 8 bits"):
+        read_picture(tmp_path / "a.tif")
+
+
+def test_a_deep_picture_keeps_its_orientation(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    path = saved(tmp_path, "16.png", exif=exif)
+    assert read_image(path).shape == (3, 8, 5)

@@ -1,0 +1,119 @@
+"""Records of others name detectors: whatever would run code is refused unless the caller names it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cloak_core import library
+from cloak_core.cli import main
+from cloak_core.core.sweeps import read_grid
+from cloak_core.detectors.loading import check_recorded
+from cloak_core.files.errors import InputError
+from cloak_core.studies.zoo_reproduction import Files, evaluate_again
+from cloak_core.zoo.entry import Entry, entry
+
+CODE = """
+from pathlib import Path
+Path(__file__).with_name("ran").touch()
+import torch
+class Mine(torch.nn.Module):
+    def forward(self, images):
+        return images.new_zeros(len(images), 1, 4), images.mean((1, 2, 3))[:, None].clamp(0, 1)
+make = Mine
+"""
+
+
+@pytest.fixture
+def evil(tmp_path: Path) -> tuple[Path, str]:
+    """A run folder from a stranger: its config.json names code that lies in it."""
+    run = entry("builtin-sample").write_run(tmp_path / "got")
+    (run / "evil.py").write_text(CODE)
+    config = json.loads((run / "config.json").read_text())
+    spec = f"python:{run / 'evil.py'}:make"
+    config["detectors"][0]["spec"] = spec
+    (run / "config.json").write_text(json.dumps(config))
+    return run, spec
+
+
+FEW = (
+    "--most-images",
+    "2",
+    "--bare",
+    "1",
+    "--size",
+    "64",
+    "--shift",
+    "0",
+    "--angles",
+    "0",
+    "--scene",
+    "sample:unseen[0:1]",
+)
+
+
+@pytest.mark.parametrize("before", ["", "jpeg=75:", "segment:blur=1:"])
+@pytest.mark.parametrize(
+    "words", [["evaluate", "RUN", *FEW], ["film", "RUN", "--out", "FILM"], ["evaluate", "RUN", "--people", "PEOPLE"]]
+)
+def test_a_run_folder_runs_no_code(evil, words: list[str], before: str, tmp_path: Path, capsys) -> None:
+    run, spec = evil
+    config = json.loads((run / "config.json").read_text())
+    config["detectors"][0]["spec"] = before + spec
+    (run / "config.json").write_text(json.dumps(config))
+    places = {"RUN": str(run), "FILM": str(tmp_path / "film"), "PEOPLE": str(tmp_path / "people.json")}
+    with pytest.raises(SystemExit) as end:
+        main([places.get(word, word) for word in words])
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and f"--detector {before + spec}" in said.replace("\n", ""), said
+    assert not (run / "ran").exists()
+
+
+def test_nor_does_the_library(evil, tmp_path: Path) -> None:
+    run, _ = evil
+    for asked in (
+        lambda: library.evaluate(run),
+        lambda: library.film(run, tmp_path / "film"),
+        lambda: library.evaluate(run, people=tmp_path / "people.json"),
+    ):
+        with pytest.raises(InputError, match="only code that you name is run"):
+            asked()
+    assert not (run / "ran").exists()
+
+
+def test_named_code_is_run(evil) -> None:
+    run, spec = evil
+    with pytest.raises(SystemExit) as end:
+        main(["evaluate", str(run), "--detector", spec, *FEW])
+    assert not end.value.code and (run / "ran").exists()
+
+
+def test_zoo_entries_and_grids_run_code_only_where_it_is_named(evil, tmp_path: Path) -> None:
+    run, spec = evil
+    shipped = entry("builtin-sample")
+    judged = {"python:evil.py:make": next(iter(shipped.record["evaluation"]["detectors"].values()))}
+    record = shipped.record | {"evaluation": shipped.record["evaluation"] | {"detectors": judged}}
+    foreign = Entry(record, shipped.config, shipped.colors, shipped.ids)
+    with pytest.raises(
+        InputError, match=r"zoo:builtin-sample: names the detector python:evil\.py:make, which runs code"
+    ):
+        evaluate_again(foreign, Files(run), 2, "cpu", None)
+    assert not (run / "ran").exists()
+
+    grid = tmp_path / "grid.toml"
+    grid.write_text(
+        f"[base]\nscene = 'sample'\nlogo = 'chest'\n[grid]\nseed = [0, 1]\ndetector = ['builtin', ['jpeg=75:{spec}']]\n"
+    )
+    with pytest.raises(InputError, match=r"grid\.toml: names the detector jpeg=75:python:"):
+        read_grid(grid)
+    assert len(read_grid(grid, named=[f"jpeg=75:{spec}"])) == 4
+
+
+def test_a_run_whose_detector_is_not_here_says_how_to_name_it() -> None:
+    with pytest.raises(InputError, match=r"trained against onnx:yolov8n\.onnx.* is not here: name your copy"):
+        library.evaluate("zoo:yolov8n-anny", "sample:unseen[0:1]", "procedural:test:1")
+
+
+def test_specs_that_run_nothing_pass() -> None:
+    for spec in ("builtin", "jpeg=75:builtin@224", "onnx:a.onnx", "darknet:a.cfg:b.weights", "ultralytics:a.pt"):
+        assert check_recorded(spec, "x") == spec
