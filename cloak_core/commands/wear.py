@@ -92,4 +92,4 @@ def show_worn(result: dict, threshold: float | int) -> None:
     left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
     out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}")
     if "out" in result:
-        out.print(f"wrote {result['out']} (sheet.jpg, pictures, scores.csv)")
+        out.print(f"wrote {result['out']} (pictures, scores.csv); look at {Path(result['out']) / 'sheet.jpg'} first")
