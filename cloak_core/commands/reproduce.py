@@ -35,6 +35,10 @@ class Reproduce(Splitting, Computing, Sharing):
     name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")]
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, as in cloak train (default: builtin)."""
+    list: bool = False
+    """List the rows of the experiment, with the updates and about the time that each takes here; make nothing."""
+    only: UseAppendAction[tuple[str, ...]] = ()
+    """Make only this row, by its number or by words of its name (--list shows both), and print its figures."""
     publish: Path | None = None
     """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
     redraw: bool = False
@@ -44,11 +48,41 @@ class Reproduce(Splitting, Computing, Sharing):
     amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)
 
     def run(self) -> dict:
+        if self.list or self.only:
+            return self._planned() if self.list else self._rows()
         from cloak_core.experiments.publish import make_page, publish
 
         done, skipped = self._redraw() if self.redraw else self._measure()
         published = {"published": str(publish(self.amount.out, self.publish))} if self.publish else {}
         return {"page": str(make_page(self.amount.out)), "experiments": done, "skipped": skipped} | published
+
+    def _planned(self) -> dict:
+        """List the rows of the experiments that have any, and how long each takes."""
+        from cloak_core.experiments.plan import plan
+        from cloak_core.experiments.runner import find
+
+        self.prepare()
+        store, rows = self._store(), {}
+        for name in self._names():
+            try:
+                rows[name] = [vars(row) for row in plan(find(name), store)]
+            except InputError:
+                if self.name != "all":
+                    raise
+                rows[name] = []
+        return {"page": "", "experiments": {}, "skipped": {}, "plan": rows}
+
+    def _rows(self) -> dict:
+        """Make the chosen rows of one experiment, for `reproduce` without --only to find."""
+        from cloak_core.experiments.plan import chosen
+        from cloak_core.experiments.runner import find, measure_rows
+
+        if self.name == "all":
+            raise InputError("--only: names rows of one experiment, not of all")
+        self.prepare()
+        store = self._store()
+        rows = measure_rows(chosen(find(self.name), store, self.only), store)
+        return {"page": "", "experiments": {}, "skipped": {}, "rows": rows}
 
     def _measure(self) -> tuple[dict, dict]:
         """Measure; give records by name, and why others were left out."""
@@ -121,6 +155,17 @@ class Reproduce(Splitting, Computing, Sharing):
         return RunStore(split, options, err.print)
 
     def show(self, result: dict) -> None:
+        from cloak_core.studies.report.words import duration
+
+        for name, rows in result.get("plan", {}).items():
+            whole = sum(row["seconds"] for row in rows)
+            out.print(f"{name}: {len(rows)} rows, about {duration(whole)}" if rows else f"{name}: without rows")
+            for row in rows:
+                out.print(
+                    f"  {row['number']:>2}  {row['name']}: {row['updates']} updates, about {duration(row['seconds'])}"
+                )
+        for row in result.get("rows", []):
+            out.print(", ".join(f"{key} {value}" for key, value in row.items() if value is not None))
         for name, record in result["experiments"].items():
             out.print(f"{name}: {record['title']}")
             for line in record["words"]:

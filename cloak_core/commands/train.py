@@ -144,7 +144,7 @@ class Train(Detecting):
         from cloak_core.library import train
         from cloak_core.sources.photographs.people import load_people
 
-        settings = self.settings  # checked before anything is done
+        _ = self.settings  # checked before anything is done
         if self.extend is not None:
             self._extend()
         if self.resume and self.compute.device == "auto" and _begun_on_the_cpu(self.out):
@@ -204,7 +204,8 @@ class Train(Detecting):
             shares = ", ".join(f"{success:.2f} at {queries}" for queries, success in result["curve"])
             out.print(f"{result['queries']} images asked; success on each round's new images: {shares}")
         if result.get("stopped"):
-            raise Stopped(f"{result['stopped']}; the same command with --resume goes on")
+            more = "" if self.extend is not None else " with --resume"
+            raise Stopped(f"{result['stopped']}; the same command{more} goes on")
         if not RANK:
             from cloak_core.detectors.loading import runs_code
 
@@ -223,7 +224,8 @@ def _begun_on_the_cpu(run: Path) -> bool:
 def _as_begun(arguments: list[str], preset: str) -> dict[str, object]:
     """Read what `preset` stood for when the run that is resumed began: it may be another in this version."""
     recorded = Path(_value_of("out", arguments) or "") / "config.json"
-    if "--resume" not in arguments or preset not in PRESETS or not recorded.is_file():
+    goes_on = "--resume" in arguments or _value_of("extend", arguments) is not None
+    if not goes_on or preset not in PRESETS or not recorded.is_file():
         return {}
     config = read_json(recorded)
     settings = config.get("settings") if isinstance(config, dict) else None

@@ -108,7 +108,7 @@ def show_worn(result: dict, threshold: float | int) -> None:
         out.print(f"{color}: {curve['chosen']:g} m wide, chosen on {on}")
     show_people(result)
     if "out" in result:
-        out.print(f"wrote {result['out']} (sheet.jpg, pictures, scores.csv)")
+        out.print(f"wrote {result['out']} (pictures, scores.csv); look at {Path(result['out']) / 'sheet.jpg'} first")
 
 
 SEEN = {True: "; training saw none of these photographs", False: "; training saw some of these photographs"}

@@ -210,7 +210,9 @@ class TrainingLoop:
         self.optimizer.update(lr)
         self.step += 1
         self._tell("step", **dataclasses.asdict(step.figures), **self._facts(lr))
-        if self.world.is_first and self._due(self.settings.run.preview_every):
+        # A run that is shorter than the time between previews has one at its end.
+        is_short_and_done = self.step == self.sampler.steps < self.settings.run.preview_every
+        if self.world.is_first and (self._due(self.settings.run.preview_every) or is_short_and_done):
             path = self.run.previews / f"step-{self.step:08d}.png"
             save_preview(path, step.images, next(iter(step.detections.values())), self.settings.run.threshold)
             self._tell("preview", path=f"previews/{path.name}")

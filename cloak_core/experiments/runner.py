@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib import import_module
 from itertools import islice, product
@@ -20,15 +21,19 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.charts import Thresholds
 from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, Trainings, test_angles
 from cloak_core.experiments.options import names
+from cloak_core.experiments.plan import row_name
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
 from cloak_core.studies.report.charts import Rows
 from cloak_core.studies.report.style import save_figure, style
+from cloak_core.studies.report.words import duration
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Trained, training_times
 from cloak_core.studies.trainings.run_record import environment
 
+SOON = 10.0
+"""Seconds before which nothing is said of the time left."""
 FORMAT = "cloak experiment 1"
 """Of numbers.json."""
 
@@ -77,6 +82,15 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
     return Numbers(experiment.finish(whole + along), facts, thresholds, experiment.pictures(store, trainings))
 
 
+def measure_rows(cells: Sequence[Cell], store: RunStore) -> Rows:
+    """Train and judge some cells; their rows over all images, as an experiment's table has them."""
+    return [
+        _row(cell, store.split.bodies, trained, results, spec)
+        for cell, trained, results in _measured(store, cells)
+        for spec in _judges(cell, store)
+    ]
+
+
 def measure_part(experiment: Experiment, store: RunStore, part: int, of: int) -> None:
     """Train and judge every `of`-th cell from `part` on, for `measure` to find; an experiment without cells, whole."""
     if experiment.measure:
@@ -88,8 +102,12 @@ def measure_part(experiment: Experiment, store: RunStore, part: int, of: int) ->
 
 
 def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, list[Trained], Results]]:
-    """Train and judge cells, one after the other."""
-    for cell in cells:
+    """Train and judge cells, one after the other, and say how far this is."""
+    cells, began = list(cells), time.monotonic()
+    for number, cell in enumerate(cells, 1):
+        spent = time.monotonic() - began
+        left = f"; about {duration(spent / (number - 1) * (len(cells) - number + 1))} left" if spent > SOON else ""
+        store.tell(f"{number} of {len(cells)}: {row_name(cell)}{left}")
         own = cell.store or store
         trained = _trained(cell, own)
         yield (

@@ -22,53 +22,111 @@ from cloak_core.files.writing import write_text
 from cloak_core.studies.report.page import jpeg_uri, write_page
 from cloak_core.studies.report.pictures import PAPER, font
 from cloak_core.studies.report.style import INK
+from cloak_core.studies.report.words import short_name
 from cloak_core.studies.wearing.clothes import CONTROLS
 
 COLORS = ((224, 52, 28), (30, 110, 220), (20, 150, 80), (190, 60, 190), (230, 150, 0), (0, 160, 170))
 SHEET_PEOPLE = 12
-TILE = 208
+TILE, CAPTION, TITLE, HEAD = 240, 22, 26, 50
+"""Of the sheet, pixels: a picture's side, the strip below it, the line above a row, and that above all."""
+FOUND, HIDDEN = (176, 58, 36), (26, 122, 70)
+ROWS = {
+    CLOTHING: "own clothing, the photograph as it is",
+    "grey": "grey all over the clothes",
+    "random": "random colours all over the clothes",
+    "resampled": "own clothing, laid on as the cloak is",
+}
+"""What the controls' rows are."""
 SIDE = 360
 """Width and height of a picture on the page of pairs, pixels."""
 
 
 class Album:
-    """Writes pictures/PERSON/before.jpg and after CLOTHES.jpg, and a contact sheet with the controls as well."""
+    """Writes pictures/PERSON/before.jpg and after CLOTHES.jpg, and a contact sheet with the controls as well.
 
-    def __init__(self, folder: Path, people: Sequence[str], thresholds: Sequence[float]) -> None:
-        """thresholds: each detector's own; boxes above it are drawn."""
+    The sheet has a column for each of a few people, named above it, and a row for each thing that they wear; below
+    every picture stands whether she is found or hidden.
+    """
+
+    def __init__(
+        self, folder: Path, people: Sequence[str], thresholds: Sequence[float], detectors: Sequence[str] = ()
+    ) -> None:
+        """thresholds: each detector's own; boxes above it are drawn. detectors: their names, for the sheet's legend."""
         self._folder, self._people, self._thresholds = folder, people, thresholds
+        self._detectors = [short_name(spec) for spec in detectors]
         step = max(1, len(people) // SHEET_PEOPLE)
         self._shown = list(range(0, len(people), step))[:SHEET_PEOPLE]
         self._tiles: dict[str, dict[int, Image.Image]] = {}
+        self._hidden: dict[str, list[int]] = {}
 
     def add(self, clothes: str, person: int, image: Image.Image, boxes: pd.DataFrame) -> None:
         """Write one image, with each detector's boxes in a colour of its own; boxes: as in `Results.boxes`."""
-        picture = image.copy()
-        draw = ImageDraw.Draw(picture)
-        for d, threshold in enumerate(self._thresholds):
-            above, color = (boxes["detector"] == d) & (boxes["score"] > threshold), COLORS[d % len(COLORS)]
-            for x1, y1, x2, y2, score in boxes.loc[above, [*CORNERS, "score"]].to_numpy().tolist():
-                if x2 > x1 and y2 > y1:
-                    draw.rectangle((x1, y1, x2, y2), outline=color, width=2)
-                    draw.text((x1 + 3, max(y1, 0) + 1), f"{score:.2f}", color, font(13, bold=True))
         if clothes not in CONTROLS:
+            picture = image.copy()
+            self._draw_boxes(picture, boxes, 1.0)
             name = "before" if clothes == CLOTHING else f"after {file_name(clothes)}"
             place = self._folder / "pictures" / file_name(self._people[person])
             place.mkdir(parents=True, exist_ok=True)
             save_picture(place / f"{name}.jpg", picture, quality=90)
         if person in self._shown:
-            self._tiles.setdefault(clothes, {})[person] = picture.resize((TILE, TILE), Image.Resampling.LANCZOS)
+            # Boxes and scores are drawn at the sheet's own size: shrunk with the picture nobody could read them.
+            tile = image.resize((TILE, TILE), Image.Resampling.LANCZOS)
+            best = self._draw_boxes(tile, boxes, TILE / image.width)
+            self._hidden.setdefault(clothes, []).append(sum(score is None for score in best))
+            self._tiles.setdefault(clothes, {})[person] = _captioned(tile, best)
+
+    def _draw_boxes(self, picture: Image.Image, boxes: pd.DataFrame, scale: float) -> list[float | None]:
+        """Draw what is above each detector's threshold; return the best score of each, None where she is hidden."""
+        draw, best = ImageDraw.Draw(picture), []
+        for d, threshold in enumerate(self._thresholds):
+            above, color = (boxes["detector"] == d) & (boxes["score"] > threshold), COLORS[d % len(COLORS)]
+            rows = boxes.loc[above, [*CORNERS, "score"]].to_numpy()
+            for *corners, score in rows.tolist():
+                x1, y1, x2, y2 = (scale * corner for corner in corners)
+                if x2 > x1 and y2 > y1:
+                    draw.rectangle((x1, y1, x2, y2), outline=color, width=2)
+                    draw.text((x1 + 3, max(y1, 0) + 1), f"{score:.2f}", color, font(13, bold=True))
+            best.append(float(rows[:, 4].max()) if len(rows) else None)
+        return best
 
     def write(self) -> None:
         """Write sheet.jpg."""
-        sheet = Image.new("RGB", (TILE * len(self._shown), (TILE + 20) * len(self._tiles)), PAPER)
+        height = TILE + CAPTION + TITLE
+        sheet = Image.new("RGB", (max(TILE * len(self._shown), 720), HEAD + height * len(self._tiles)), PAPER)
         draw = ImageDraw.Draw(sheet)
+        self._write_head(draw)
         for row, (name, tiles) in enumerate(self._tiles.items()):
-            top = row * (TILE + 20)
-            draw.text((4, top + 2), name, INK, font(13, bold=True))
+            top = HEAD + row * height
+            hidden, asked = sum(self._hidden[name]), len(self._hidden[name]) * len(self._thresholds)
+            words = f"{ROWS.get(name, name)}: hidden in {hidden} of {asked}"
+            draw.text((6, top + 4), words, INK, font(15, bold=True))
             for column, person in enumerate(self._shown):
-                sheet.paste(tiles[person], (column * TILE, top + 20))
+                if person in tiles:
+                    sheet.paste(tiles[person], (column * TILE, top + TITLE))
         save_picture(self._folder / "sheet.jpg", sheet, quality=88)
+
+    def _write_head(self, draw: ImageDraw.ImageDraw) -> None:
+        """Say who judges, in which colour, and who is shown."""
+        left = 6
+        for d, threshold in enumerate(self._thresholds):
+            name = self._detectors[d] if d < len(self._detectors) else f"detector {d + 1}"
+            words = f"{name}, boxes above {threshold:g}"
+            draw.text((left, 4), words, COLORS[d % len(COLORS)], font(15, bold=True))
+            left += round(draw.textlength(words, font(15, bold=True))) + 24
+        for column, person in enumerate(self._shown):
+            draw.text((column * TILE + 6, 28), self._people[person][-26:], INK, font(13))
+
+
+def _captioned(tile: Image.Image, best: Sequence[float | None]) -> Image.Image:
+    """Put below a picture whether she is found or hidden, on green where no detector finds her."""
+    found = [score for score in best if score is not None]
+    words = "hidden" if not found else f"found {max(found):.2f}"
+    if len(best) > 1 and found and len(found) < len(best):
+        words = f"found by {len(found)} of {len(best)}, {max(found):.2f}"
+    whole = Image.new("RGB", (TILE, TILE + CAPTION), FOUND if found else HIDDEN)
+    whole.paste(tile, (0, 0))
+    ImageDraw.Draw(whole).text((6, TILE + 2), words, (255, 255, 255), font(14, bold=True))
+    return whole
 
 
 def file_name(name: str) -> str:

@@ -83,7 +83,7 @@ def _judged(
     renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
     pages: list[Album | Rating] = []
     if folder is not None:
-        pages.append(Album(folder, renderer.body_names, list(points.values())))
+        pages.append(Album(folder, renderer.body_names, list(points.values()), list(points)))
     if settings.pairs:
         compared = [*(one.name for one in clothes), CLOTHING]
         pages.append(Rating(folder, renderer.body_names, compared, settings.pairs))
