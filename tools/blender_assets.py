@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from cloak_core.exchange.scenes import write_scene
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.zoo.entry import entry, shelved
 
 POSES = 4

@@ -17,7 +17,7 @@ from cloak_core import cli
 from cloak_core.commands.remote import files_of, named_paths
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.scene.opening import load_scene
+from cloak_core.sources.bodies.opening import load_scene
 
 STUB = Path(__file__).parents[1] / "blender" / "inside" / "stub"
 

@@ -1,0 +1,61 @@
+"""The colours that a training begins with."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.logo import load_logo, make_logo
+from cloak_core.core.settings import make_settings
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors
+from tests.sources.bodies.solids import cube
+
+
+@pytest.fixture(scope="module")
+def samples() -> Bodies:
+    return sample_bodies()
+
+
+def test_grey_random_and_clothing(samples: Bodies) -> None:
+    logo = load_logo(samples, "chest")
+    begin = lambda initial, seed=0: first_colors(
+        make_settings("best", initial=initial).optimization, samples, logo, seed
+    )
+    assert np.array_equal(begin("clothing"), samples.face_colors[0, logo.face_ids])
+    assert (begin("grey") == 0.5).all() and begin("grey").shape == (len(logo), 3)
+    assert torch.equal(begin("random", 1), begin("random", 1)) and not torch.equal(
+        begin("random", 1), begin("random", 2)
+    )
+
+
+def test_the_animal_looks_out_of_chest_and_back(samples: Bodies) -> None:
+    logo = load_logo(samples, "shirt+trousers")
+    colors = animal_face(samples, logo)
+    centres, normals = face_centres(samples)[logo.face_ids], face_normals(samples)[logo.face_ids]
+    tall = np.ptp(samples.vertices[0][:, 1])
+    for front in (True, False):
+        side = (normals[:, 2] > 0) == front
+        dark = side & (colors == np.float32(DARK)).all(1)
+        left, right = (dark & (centres[:, 0] * sign > 0.04 * tall) for sign in (1, -1))
+        assert left.any() and right.any(), "two eyes"
+        eyes, nose = centres[left | right, 1].mean(), centres[dark & ~left & ~right, 1].mean()
+        assert 0.05 * tall < eyes - nose < 0.15 * tall
+        assert abs(centres[left, 1].mean() - centres[right, 1].mean()) < 0.01 * tall
+        assert centres[dark, 1].min() > centres[:, 1].min() + 0.3 * tall, "on the trunk, not on the legs"
+    assert (colors == 0.5).all(1).mean() > 0.3, "arms and legs begin grey"
+
+
+def test_a_small_logo_gets_a_small_animal_and_a_flat_one_none(samples: Bodies) -> None:
+    chest = load_logo(samples, "chest")
+    colors = animal_face(samples, chest)
+    assert (colors == np.float32(DARK)).all(1).any() and (colors == np.float32(FUR)).all(1).any()
+    side = make_logo(cube(), [1])
+    assert (animal_face(cube(), side) == 0.5).all()
+    assert np.isfinite(animal_face(cube(), make_logo(cube(), [0, 1, 4, 5]))).all()
+
+
+def test_the_transfer_preset_begins_with_the_animal() -> None:
+    assert make_settings("transfer").optimization.initial == "animal"
+    assert make_settings("best").optimization.initial == "grey"
