@@ -120,7 +120,7 @@ class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", train
                 split.label(text=rates[index].describe())
 
 
-class CLOAK_PT_take_along(CloakPanel, label="Take Along", inside="result"):
+class CLOAK_PT_take_along(CloakPanel, label="Print, Film, Image", inside="result"):
     """The cloak on paper, on film, in an image"""
 
     def draw(self, context: bpy.types.Context) -> None:
