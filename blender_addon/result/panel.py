@@ -127,7 +127,9 @@ class CLOAK_PT_take_along(CloakPanel, label="Print, Film, Image", inside="result
         judging = context.scene.cloak.judging
         column = self.layout.column(align=True)
         column.operator("cloak.print_sheets", icon="FILE_BLANK")
-        column.operator("cloak.bake", icon="IMAGE_DATA")
+        row = column.row(align=True)
+        row.operator("cloak.bake", icon="IMAGE_DATA")
+        row.operator("cloak.export_glb", text="GLB")
         column.operator("cloak.turntable", icon="CON_ROTLIKE")
         column.operator("cloak.film", icon="VIEW_CAMERA")
         settings_column(self.layout, judging, "film_format", "film_seconds")
