@@ -24,6 +24,8 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         reason = body_reason(context)
         if reason:
             wrapped(self.layout, context, reason)
+            if not trainer_reason():
+                self.layout.operator("cloak.try_it", icon="PLAY")
         else:
             self._body(context, active_body(context))
         row = self.layout.row(align=True)

@@ -75,7 +75,7 @@ def _buttons(column: bpy.types.UILayout, *names: str) -> None:
         row.operator(f"cloak.logo_{name}")
 
 
-class CLOAK_PT_regions(CloakPanel, label="Take, Change, Export", inside="logo"):
+class CLOAK_PT_regions(CloakPanel, label="More Ways to a Logo", inside="logo"):
     """Logos of what belongs together already, and what changes a logo as a whole"""
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -165,3 +165,17 @@ def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:
     if not bpy.app.background:
         material.asset_generate_preview()
     return material
+
+
+def baked_copy(obj: bpy.types.Object, size: int) -> bpy.types.Object:
+    """A copy of an object beside it, all of whose faces show its colours as an image; as it is where it has none."""
+    done = bake(obj, size) if layer_name(obj.data, COLORS) else None
+    copy = obj.copy()
+    copy.data = obj.data.copy()
+    if done is not None:
+        copy.data.materials.clear()
+        copy.data.materials.append(baked_material(done.image, done.uv_map))
+        copy.data.polygons.foreach_set("material_index", np.zeros(len(copy.data.polygons), np.int32))
+    for collection in obj.users_collection:
+        collection.objects.link(copy)
+    return copy

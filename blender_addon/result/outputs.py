@@ -5,12 +5,15 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy.props import StringProperty
+from bpy_extras.io_utils import ExportHelper
 
 from ..blender.blend_paths import first_free
 from ..blender.marks import COLORS, layer_name
+from ..body.garments import worn_by
 from ..body.objects import active_body, of_the_body, refusal, scene_axes
 from ..files.errors import InputError
-from ..files.writing import write_text
+from ..files.writing import write_text, written
 from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
 from ..trainer.jobs import run_cloak
@@ -153,6 +156,31 @@ or one with too little room, Cloak makes one of its own"""
         faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
         made = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
         return made if done.off_before is None else f"{made} ({done.off_before:,} on the body's own map)"
+
+
+class CLOAK_OT_export_glb(CloakOperator, ExportHelper, label="Export GLB", needs=CLOAK_OT_bake.needs):
+    """Bake the trained colours and write the body with what it wears as a GLB, for programs that know images alone"""
+
+    filename_ext = ".glb"
+    filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
+    size: props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, chosen = active_body(context), list(context.selected_objects)
+        copies = [bake.baked_copy(one, self.size) for one in (obj, *worn_by(obj))]
+        try:
+            for one in context.view_layer.objects:
+                one.select_set(one in copies)
+            with written(self.filepath):
+                bpy.ops.export_scene.gltf(filepath=self.filepath, export_format="GLB", use_selection=True)
+        except RuntimeError as error:
+            raise InputError(f"{self.filepath}: cannot be exported ({str(error).strip()})") from None
+        finally:
+            bpy.data.batch_remove([*copies, *(copy.data for copy in copies)])
+            for one in chosen:
+                one.select_set(True)
+            context.view_layer.objects.active = obj
+        return f"Wrote {self.filepath}"
 
 
 class CLOAK_OT_show_made(CloakOperator, label="Open", needs=made_reason):

@@ -120,14 +120,16 @@ class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", train
                 split.label(text=rates[index].describe())
 
 
-class CLOAK_PT_take_along(CloakPanel, label="Take Along", inside="result"):
+class CLOAK_PT_take_along(CloakPanel, label="Print, Film, Image", inside="result"):
     """The cloak on paper, on film, in an image"""
 
     def draw(self, context: bpy.types.Context) -> None:
         judging = context.scene.cloak.judging
         column = self.layout.column(align=True)
         column.operator("cloak.print_sheets", icon="FILE_BLANK")
-        column.operator("cloak.bake", icon="IMAGE_DATA")
+        row = column.row(align=True)
+        row.operator("cloak.bake", icon="IMAGE_DATA")
+        row.operator("cloak.export_glb", text="GLB")
         column.operator("cloak.turntable", icon="CON_ROTLIKE")
         column.operator("cloak.film", icon="VIEW_CAMERA")
         settings_column(self.layout, judging, "film_format", "film_seconds")

@@ -126,7 +126,7 @@ class CLOAK_OT_wear_page(CloakOperator, label="Turn the Page"):
         return ""
 
 
-class CLOAK_PT_wear(CloakPanel, label="Wear", inside="result", trains=True):
+class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=True):
     """The cloak on people in photographs"""
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -19,13 +19,14 @@ import bpy
 
 from ..files.errors import InputError
 from ..session import session
-from ..ui.window import redraw
+from ..ui.window import notify, redraw
 from .command_lines import cloak_command
 from .preferences import trainer
 from .program import start_process
 from .progress import Progress, duration, read_events
 
 TICK_SECONDS = 0.25
+UNSEEN_SECONDS = 1.0  # since a panel with jobs was drawn: it is closed, or another tab is open
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
 OnEnd = Callable[["Job"], str | None] | None
 """Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""
@@ -294,6 +295,8 @@ def tick() -> float | None:
     job = session.job
     if job is not None and job.running:
         job.look()
+        if not job.active and time.monotonic() - session.panel_drawn > UNSEEN_SECONDS:
+            notify(job.message, bad=job.state == "failed" or job.is_bad_news)
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
     for waiting in [job for job in session.jobs if job.state == "waiting"]:
         if not session.job.running:

@@ -17,7 +17,7 @@ from ..trainer.command_lines import differing_options, train_command
 from ..trainer.jobs import Job, TrainingJob, busy, launch, waits
 from ..trainer.preferences import trainer
 from ..ui import props
-from ..ui.operator import CloakOperator
+from ..ui.operator import WITH_UNDO, CloakOperator
 from . import run_list, runs
 from .run_states import DONE, RUNNING, FoundTrainer, RunState, read_state, request_stop
 from .runs import run_of
@@ -112,6 +112,29 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     follow(obj, TrainingJob(command, run, done.folder))
     begins = f", from the colours of {begun.title}" if begun else ""
     return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}{begins}{waits(session.jobs[-1])}"
+
+
+ANGLES = {"FRONT": (-10, 10, 5), "HALF": (-90, 90, 15), "AROUND": (-180, 165, 15)}
+"""First, last and step of the presets, degrees."""
+
+
+class CLOAK_OT_set_angles(CloakOperator, label="Set Angles"):
+    """Set the training's angles"""
+
+    bl_options = WITH_UNDO
+
+    angles: props.choice(
+        "Angles",
+        "Which azimuths to train at",
+        ("FRONT", "Front", "The front, as in the paper: -10 to 10 degrees"),
+        ("HALF", "Half Around", "Front and both sides: -90 to 90 degrees"),
+        ("AROUND", "All Around", "From everywhere: -180 to 165 degrees"),
+    )
+
+    def run(self, context: bpy.types.Context) -> str:
+        settings = context.scene.cloak
+        settings.angle_first, settings.angle_last, settings.angle_step = ANGLES[self.angles]
+        return ""
 
 
 class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=lambda _: "" if busy() else "Nothing is running"):

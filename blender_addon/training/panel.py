@@ -89,6 +89,7 @@ class CLOAK_PT_settings(CloakPanel, label="Settings", inside="train"):
     def draw(self, context: bpy.types.Context) -> None:
         settings = context.scene.cloak
         column = settings_column(self.layout, settings, "backgrounds", "preset", "config")
+        column.row(align=True).operator_enum("cloak.set_angles", "angles")
         angles = column.column(align=True)
         angles.prop(settings, "angle_first", text="Angles (°)")
         angles.prop(settings, "angle_last", text="To (°)")

@@ -56,6 +56,16 @@ def redraw(panels_alone: bool = False) -> None:
             area.tag_redraw()
 
 
+def notify(message: str, bad: bool) -> None:
+    """Show a message at the mouse, until that moves away."""
+    windows = bpy.context.window_manager.windows
+    if bpy.app.background or not len(windows):
+        return
+    draw = lambda popup, context: popup.layout.label(text=message)
+    with bpy.context.temp_override(window=windows[0]):
+        bpy.context.window_manager.popup_menu(draw, title="Cloak", icon="ERROR" if bad else "CHECKMARK")
+
+
 @contextmanager
 def progress_cursor(context: bpy.types.Context) -> Iterator[Callable[[float], None]]:
     """Yields `show(fraction)`, 0 to 1, which the pointer shows in percent until the block ends."""

@@ -46,7 +46,8 @@ def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The extension as `make extension` builds it, validated by Blender's own tool."""
     out = tmp_path_factory.mktemp("dist")
     command = [PYTHONS[0], str(ROOT / "tools" / "build_extension.py"), "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    environment = os.environ | {"CLOAK_TRAINER": sys.executable}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return Path(done.stdout.strip().splitlines()[-1])
 

@@ -165,7 +165,7 @@ def train() -> Iterator[float]:
 def take_along() -> Iterator[float]:
     scene = bpy.context.scene
     yield from click("Use Standard", "standard", lambda: scene.view_settings.view_transform == "Standard")
-    yield from click("Take Along", "take_along", lambda: True)
+    yield from click("Print, Film, Image", "take_along", lambda: True)
     yield from click("Turntable", "turntable", busy_with("Turntable"))
     yield from finished("turntable")
     yield from until(lambda: scroll_to("turntable.gif"), "the turntable is listed")

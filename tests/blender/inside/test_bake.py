@@ -83,3 +83,20 @@ def test_what_is_missing_is_said():
     dressed_egg()
     with pytest.raises(RuntimeError, match="faces need at least 51 texels along each side: raise Size"):
         bpy.ops.cloak.bake(size=48)
+
+
+def test_the_body_and_what_it_wears_go_into_a_glb_that_shows_the_colours(tmp_path):
+    obj, trained = dressed_egg()
+    before = [o.name for o in bpy.data.objects], [slot.name for slot in obj.material_slots]
+    bpy.ops.cloak.export_glb(filepath=str(tmp_path / "body.glb"), size=256)
+    assert ([o.name for o in bpy.data.objects], [slot.name for slot in obj.material_slots]) == before
+    assert (tmp_path / "body.glb").read_bytes().startswith(b"glTF") and bpy.context.object is obj
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.import_scene.gltf(filepath=str(tmp_path / "body.glb"))
+    (mesh,) = (o for o in bpy.data.objects if o.type == "MESH")
+    (image,) = (i for i in bpy.data.images if i.size[0])
+    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
+    image.pixels.foreach_get(pixels)
+    seen = set(map(tuple, (pixels.reshape(-1, 4)[:, :3] * 255).round().astype(int).tolist()))
+    wanted = set(map(tuple, (trained * 255).round().astype(int).tolist()))
+    assert len(wanted & seen) > 0.9 * len(wanted) and len(mesh.data.polygons) > 0

@@ -8,8 +8,10 @@ import cloak
 import pytest
 from cloak.blender import colors
 from cloak.files.errors import InputError
-from cloak.trainer import command_lines, program
+from cloak.session import session
+from cloak.trainer import command_lines, jobs, program
 from cloak.trainer import preferences as preferences_module
+from cloak.trainer.jobs import Job
 from cloak.trainer.preferences import preferences, trainer_reason
 from cloak.training.operators import train_reason
 from conftest import run_job
@@ -82,6 +84,35 @@ def test_without_a_trainer_what_needs_one_is_not_there_and_the_rest_works(ready,
     bpy.context.view_layer.objects.active = ready
     bpy.ops.cloak.ready_cloak(cloak="transfer-people")
     assert bpy.context.object not in (sample, ready) and colors.is_dressed(bpy.context.object)
+
+
+def test_try_it_goes_from_nothing_to_a_check(stub, tmp_path):
+    bpy.context.scene.cloak.output = str(tmp_path / "runs")
+    bpy.ops.cloak.try_it()
+    job = run_job(400)
+    assert (job.label, job.state) == ("Render check", "done"), job.message
+    assert [session.job_of(kind).state for kind in ("Sample body", "Training")] == ["done", "done"]
+    assert (
+        session.job_of("Training").progress.steps == 100
+        and bpy.context.scene.view_settings.view_transform == "Standard"
+    )
+    assert "person detected in 0 of 2 renders with the cloak" in job.message
+
+
+def test_a_notice_is_shown_only_where_no_panel_is_seen(stub, tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr(jobs, "notify", lambda message, bad: shown.append((message, bad)))
+    for drawn, code in ((0.0, 0), (0.0, 2), (float("inf"), 0)):
+        session.panel_drawn = drawn
+        jobs.launch(Job("One", [[str(stub), "-c", f"raise SystemExit({code})"]], tmp_path, "one"))
+        run_job()
+    assert shown == [("One done", False), ("One: the trainer refused its input", True)]
+
+
+def test_presets_of_angles():
+    bpy.ops.cloak.set_angles(angles="AROUND")
+    settings = bpy.context.scene.cloak
+    assert (settings.angle_first, settings.angle_last, settings.angle_step) == (-180, 165, 15)
 
 
 def test_a_wrong_program_is_said(ready, tmp_path):

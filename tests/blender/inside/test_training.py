@@ -151,12 +151,12 @@ def test_output_beside_an_unsaved_file_is_refused(ready):
         bpy.ops.cloak.train_start()
 
 
-def test_output_is_the_extensions_own_folder_when_none_is_chosen(ready):
+def test_runs_of_a_file_without_a_name_outlive_the_extension(ready):
     bpy.context.scene.cloak.output = ""
     bpy.ops.cloak.train_start()
     assert run_job().state == "done"
-    own = Path(bpy.utils.extension_path_user(MODULE, path="", create=False))
-    assert own in Path(ready.cloak.run).parents
+    run, own = Path(ready.cloak.run), Path(bpy.utils.extension_path_user(MODULE, path="", create=False))
+    assert own not in run.parents and run.parent == Path(bpy.utils.user_resource("DATAFILES"), "cloak runs")
 
 
 def test_resume_without_its_input_is_refused(ready):
