@@ -33,7 +33,7 @@ def test_simulated_people_differ_and_can_be_dressed(tmp_path: Path) -> None:
 def test_a_point_of_people_says_what_each_stage_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(growth_training, "BATCH", 2)
     monkeypatch.setattr(growth_training, "STEPS", 1)
-    monkeypatch.setattr(growth_training, "SIZE", 64)
+    monkeypatch.setattr(growth_training, "SIZE", 128)
     monkeypatch.setenv("CLOAK_CACHE", "off")  # set anew within, for the point's own files
     figures = grow_people(2, str(write_people(tmp_path, 1)), None)
     assert figures["seconds"] == pytest.approx(figures["read_s"] + figures["fit_s"])

@@ -41,7 +41,7 @@ def test_the_record_holds_together(changes):
 @pytest.mark.slow
 def test_people_in_photographs_are_fresh_views_with_a_cloth(tmp_path):
     fits = fit_people(load_people(write_people(tmp_path, 1)))
-    settings = make_settings("photographs", batch=2, size=64)
+    settings = make_settings("photographs", batch=2, size=64, translation=5)
     one = run_bench_step(
         load_scene("sample[0:1]"), [TinyDetector(0)], noise_backgrounds(), settings=settings, people=fits, repeats=2
     )["tiny:0"]
