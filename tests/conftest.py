@@ -11,6 +11,7 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
+import cloak_core
 from tests import reliability_record
 
 # No test is judged by the clock: machines are shared.
@@ -20,21 +21,8 @@ settings.load_profile("cloak")
 # What tests decode stays out of the user's cache.
 os.environ["CLOAK_CACHE"] = "off"
 
-# Not the commands: tyro fills required options with a marker before the user's words replace it.
-ROOMS = (
-    "attack",
-    "bench",
-    "detectors",
-    "evaluation",
-    "exchange",
-    "experiments",
-    "files",
-    "output",
-    "render",
-    "scene",
-    "techniques",
-    "zoo",
-)
+# Every room but the commands: tyro fills required options with a marker before the user's words replace it.
+ROOMS = sorted({path.parent.name for path in Path(cloak_core.__file__).parent.glob("*/__init__.py")} - {"commands"})
 install_import_hook([f"cloak_core.{room}" for room in ROOMS], "beartype.beartype")
 
 

@@ -88,7 +88,7 @@ def _reading(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]
     with tempfile.TemporaryDirectory() as folder:
         view = cache.view(0, camera)
         files = DiskCache(Path(folder), ".view", 1 << 30, "views")
-        stored = StoredViews(files, cache.bodies, cache.settings.recipe, view.uv is not None, cache.device)
+        stored = StoredViews(files, cache.bodies, cache.settings.recipe, cache._surface, cache.device)
         stored.put(0, camera, view)
         return timed(lambda: stored.get(0, camera), repeats, cache.device.type)
 

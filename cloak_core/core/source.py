@@ -41,11 +41,11 @@ class Source(Protocol):
         """
         ...
 
-    def view(self, shown: Mapping[str, float], seed: int) -> BakedView:
+    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """Make one image's view, of its columns."""
         ...
 
-    def undressed(self, shown: Mapping[str, float], seed: int) -> BakedView | None:
+    def undressed(self, shown: Mapping[str, int | float], seed: int) -> BakedView | None:
         """The same view as it is without what is worn; None: it has to be painted in some clothing."""
         ...
 
@@ -98,10 +98,10 @@ class Mixture:
         columns = self.first.draw(step, images, member, direction, random)
         return columns | self.second.draw(step, images, member, direction, random) | {"second": chosen}
 
-    def view(self, shown: Mapping[str, float], seed: int) -> BakedView:
+    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """See `Source`."""
         return (self.second if shown["second"] else self.first).view(shown, seed)
 
-    def undressed(self, shown: Mapping[str, float], seed: int) -> BakedView | None:
+    def undressed(self, shown: Mapping[str, int | float], seed: int) -> BakedView | None:
         """See `Source`."""
         return (self.second if shown["second"] else self.first).undressed(shown, seed)

@@ -97,7 +97,7 @@ TRAIN = "train --scene scene --logo logo.npy --out run --steps 1 "
         ("detectors check builtin --image absent.jpg", "absent.jpg: no such file"),
         ("evaluate empty", "empty: not a run folder"),
         ("report absent", "absent: no such folder"),
-        ("report net.cfg", "net.cfg: not a folder"),
+        ("report net.cfg", "net.cfg: a detector, not a run folder"),
         ("report empty", "empty: not a run folder"),
         ("zoo reproduce nonsense", "nonsense"),
         (TRAIN + "--device cuda:99", "--device cuda:99: "),

@@ -147,10 +147,11 @@ def test_an_existing_folder_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="exists already"):
         run(tmp_path / "run")
     (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("mine")
     for resume in (False, True):
         with pytest.raises(InputError, match=r"other: (exists already|not a run folder)"):
             run(tmp_path / "other", resume=resume)
-    assert list((tmp_path / "other").iterdir()) == []
+    assert [path.name for path in (tmp_path / "other").iterdir()] == ["notes.txt"]
     assert before == {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
 
 

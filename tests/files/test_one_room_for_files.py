@@ -12,9 +12,12 @@ APART = (
     "core/pictures.py",
     "sources/bodies/blender/inside.py",
     "jobs/ray_keeper.py",
+    "jobs/processes.py",
+    "jobs/worker.py",
     "commands/remote.py",
 )
-"""The rooms for it, what measures, a script that runs in Blender, the process table, and streams to another machine."""
+"""The rooms for it, what measures, a script that runs in Blender, the process table, pipes between our own processes,
+and streams to another machine."""
 OF_PATHS = {"read_bytes", "read_text", "write_bytes", "write_text"}
 OF_MODULES = {
     "np": {"load", "save", "savez", "savez_compressed", "fromfile", "memmap", "genfromtxt"},

@@ -251,7 +251,7 @@ def test_the_command_says_what_the_contract_promises(
     for side, color in (("with", GREEN), ("without", BLUE)):
         paint(tmp_path / side / "1.png", (color,))
     with pytest.raises(SystemExit) as end:
-        main(["judge", str(tmp_path), "--detector", "painted", "--json"])
+        main(["judge", str(tmp_path), "--detector", "builtin", "--json"])
     told = json.loads(capsys.readouterr().out)
     assert not end.value.code and {"with", "without", "people", "pictures"} <= set(told)
     assert {"success", "conditional", "n", "ci95"} <= set(told["with"])

@@ -2,8 +2,8 @@
 
     window.sh OUT.png tools/blender/large_scene.py ZIP [OBJECTS]
 
-Milliseconds of processor time of the drawing thread, median and worst of the redraws in each situation: nothing changes; an object is moved before
-each redraw; a job runs, which redraws four times a second.
+Milliseconds of processor time of the drawing thread, median and worst of the redraws in each situation: nothing
+changes; an object is moved before each redraw; a job runs, which redraws four times a second.
 """
 
 import json

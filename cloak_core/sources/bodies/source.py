@@ -79,7 +79,7 @@ class BodyPlan:
             "distance": spread(views.distance),
         }
 
-    def camera(self, shown: Mapping[str, float]) -> Camera:
+    def camera(self, shown: Mapping[str, int | float]) -> Camera:
         """Make the camera of some columns. Equal columns give equal cameras, so that views are found again."""
         return self.settings.camera(shown["azimuth"], shown["elevation"], shown["distance"])
 
@@ -111,13 +111,13 @@ class BodySource:
             view_cache = ViewCache(bodies, view_settings, on_cloth=worn.cloth is not None)
         self.view_cache = view_cache
 
-    def view(self, shown: Mapping[str, float], seed: int) -> BakedView:
+    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """See `Source`."""
         camera = self.plan.camera(shown)
         view = self.view_cache.bake(int(shown["pose"]), camera, self.worn.logo.face_ids, int(shown["outfit"]))
         return self.worn.on_body(view, np.random.default_rng([seed, _CLOTH]))
 
-    def undressed(self, shown: Mapping[str, float], seed: int) -> None:
+    def undressed(self, shown: Mapping[str, int | float], seed: int) -> None:
         """None: a body's clothing is painted."""
 
     def require_visible(self) -> None:

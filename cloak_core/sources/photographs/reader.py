@@ -22,7 +22,7 @@ from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.files.likeness import picture_look
-from cloak_core.files.reading import read_bytes
+from cloak_core.files.reading import parse_json, read_bytes
 from cloak_core.sources.photographs.annotations import description
 from cloak_core.sources.photographs.choosing import Dressable, choose
 from cloak_core.sources.photographs.crops import (
@@ -147,7 +147,7 @@ class Reader:
             record = _identified(picture, people) | {"turned": turned}
             self._known.put(name, json.dumps(record).encode())
         else:
-            record = json.loads(kept.tobytes())
+            record = parse_json(kept.tobytes(), "cached identities")
         _check_size(entry.image, record, self._what(entry))
         known = {"photograph": entry.image["file_name"], "licence": entry.licence}
         known |= {"pixels": record["pixels"], "look": record["look"]}

@@ -94,7 +94,7 @@ class PeopleSource:
             self._last = number, order
         return self._last[1]
 
-    def view(self, shown: Mapping[str, float], seed: int) -> BakedView:
+    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """See `Source`."""
         person = int(shown["person"])
         fit, framing, looseness = self._drawn(person, seed)
@@ -102,7 +102,7 @@ class PeopleSource:
         worn = self.worn.on_places(places, np.random.default_rng([seed, person, _CLOTH]))
         return photograph_view(fit, worn, framing, looseness)
 
-    def undressed(self, shown: Mapping[str, float], seed: int) -> BakedView:
+    def undressed(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """See `Source`: the photograph as it is."""
         fit, framing, _ = self._drawn(int(shown["person"]), seed)
         nothing = np.full_like(self._position, -1)

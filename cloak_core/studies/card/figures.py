@@ -13,6 +13,7 @@ from pathlib import Path
 from cloak_core.core.evaluation.results import Results, pool, read_results
 from cloak_core.core.evaluation.statistics import side_record, success_record
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import parse_json
 from cloak_core.studies import statistics_card
 from cloak_core.studies.card.certainty import MEASURED, NOT_MEASURED, UNTRAINED, state, state_of_attack, whole
 from cloak_core.studies.card.protocol import AGAINST, AREAS
@@ -169,8 +170,12 @@ def differences(card: dict, folder: Path) -> Iterator[str]:
         fresh = part_figures(part, results, card["spec"], head)
         if part == "people":
             fresh = people_states(card, fresh)
-        yield from _apart(place, json.loads(json.dumps(fresh)), record)
-    yield from _apart("", json.loads(json.dumps(summary(card))), card)
+        yield from _apart(place, _as_read(fresh), record)
+    yield from _apart("", _as_read(summary(card)), card)
+
+
+def _as_read(record: dict) -> dict:
+    return parse_json(json.dumps(record).encode(), "figures")
 
 
 def _apart(place: str, fresh: object, said: object) -> Iterator[str]:
