@@ -31,7 +31,7 @@ FORMAT, EARLIER = "cloak hardening 2", "cloak hardening 1"
 """EARLIER drew other cloaks, with which its checkpoints do not go on."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""
-LATER = {"--perturbation": 0.0, "--replays": 2}
+LATER = {"--perturbation": 0.0, "--replays": 2, "--cloths": 0.0}
 """Settings that the first hardenings of this format did not record, and what they did."""
 
 

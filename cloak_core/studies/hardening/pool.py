@@ -5,7 +5,7 @@ Everything drawn is a function of (seed, turn), so that a hardening that was sto
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -34,6 +34,7 @@ from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import faces_on_rig
 from cloak_core.sources.photographs.source import PeopleSource
+from cloak_core.studies.hardening.cloths import draw_pattern, first_cloth
 from cloak_core.studies.hardening.decoys import FlatCloth, Texture
 from cloak_core.studies.hardening.logos import draw_colors, draw_logo
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -45,6 +46,8 @@ AZIMUTHS, AROUND, SECTOR = 10, 6, 15
 cloak that works from one side alone is the stronger attack there, and to withstand others does not answer it."""
 SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
+NO_PATTERN: Mapping[str, str | float] = {}
+"""Colours of faces, which do not repeat."""
 GIVEN, GOES_ON = 0.5, 0.75
 """How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
 their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
@@ -55,8 +58,8 @@ FINISH = 240
 """Steps that train a cloak to its end."""
 KEPT = 32
 """So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
-_LOGO, _VIEWS = 1, 2
-"""Streams of random numbers; `pictures` has others."""
+_LOGO, _VIEWS, _CLOTH = 1, 2, 6
+"""Streams of random numbers; `pictures` and `hardening` have others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +75,10 @@ class Cloak:
     """One cloak of the pool."""
 
     generation: int
-    logo: Logo
+    worn: Worn
     batcher: Batcher
+    bare: Batcher
+    """Of the same images with the logo's faces, to show the body in its own clothes."""
     objective: Objective
     optimizer: ColorOptimizer
     flat: FlatCloth
@@ -85,9 +90,19 @@ class Cloak:
         """
         self.optimizer.update(learning_rate(self.optimizer.settings, age, life, epoch=0.0))
 
+    @property
+    def logo(self) -> Logo:
+        """Where it is worn."""
+        return self.worn.logo
+
+    def face_colors(self) -> Float[np.ndarray, "L 3"]:
+        """Colours of the logo's faces as they are."""
+        colors = self.optimizer.colors().detach().cpu().numpy()
+        return self.worn.on_faces(colors, is_exact=False).astype(np.float32)
+
     def texture(self) -> Texture:
         """The cloak as it is, laid flat."""
-        return self.flat.texture(self.optimizer.colors().detach().cpu().numpy())
+        return self.flat.texture(self.face_colors())
 
 
 class Place(NamedTuple):
@@ -127,7 +142,9 @@ class Pool:
         if self.people:
             faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
         self.device = torch.device(detector.device)
-        self.view_cache = ViewCache(bodies, RenderSettings(device=self.device, samples=SAMPLES))
+        rendering = RenderSettings(device=self.device, samples=SAMPLES)
+        self.view_cache = ViewCache(bodies, rendering)
+        self._cloth_views = ViewCache(bodies, rendering, on_cloth=True) if settings.cloths else self.view_cache
         self.centres = face_centres(bodies)
         self.cloaks: dict[int, Cloak] = {}
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
@@ -183,10 +200,11 @@ class Pool:
         clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
         # The second call draws into the memory of the first.
         cloaked = batch.images(cloak.optimizer.colors()).clone()
-        clean = replace(batch, on_logo=None).images(clothing).clone()
-        draws = cloak.batcher.sampler.draw(step)
+        bare = batch if cloak.bare is cloak.batcher else cloak.bare.batch(step)
+        clean = replace(bare, on_logo=None).images(clothing).clone()
+        draws = cloak.bare.sampler.draw(step)
         for image, (shown, seed) in zip(clean, draws.views(), strict=True):
-            view = cloak.batcher.source.undressed(shown, seed)
+            view = cloak.bare.source.undressed(shown, seed)
             if view is not None:
                 image.copy_(compose([view], clothing, torch.zeros_like(image)[None])[0])
         return Pair(cloaked, clean)
@@ -219,6 +237,8 @@ class Pool:
 
     def _new(self, slot: int, generation: int) -> Cloak:
         rng = np.random.default_rng([self.settings.seed, _LOGO, slot, generation])
+        cloth = np.random.default_rng([self.settings.seed, _CLOTH, slot, generation])
+        pattern: dict[str, str | float] = {}
         if self.given and rng.random() < GIVEN:
             chosen = self.given[rng.integers(len(self.given))]
             logo, colors = chosen.logo, chosen.colors
@@ -229,30 +249,41 @@ class Pool:
             colors = draw_colors(self.centres[logo.face_ids].astype(np.float32), rng)
             if slot in self.skins and rng.random() < GOES_ON:
                 colors = self.skins[slot].cpu().numpy()[logo.face_ids]
-        settings = self._train_settings(slot)
-        worn = Worn(self.bodies, logo)
-        source = BodySource(self.bodies, worn, settings.views, self.device, self.view_cache)
+            if cloth.random() < self.settings.cloths:
+                pattern = draw_pattern(cloth)
+        settings = self._train_settings(slot, pattern)
+        worn = Worn.of(settings.pattern, self.bodies, logo)
+        colors = first_cloth(worn, cloth) if pattern else colors
+        batcher = self._batcher(settings, worn)
+        return Cloak(
+            generation,
+            worn,
+            batcher,
+            self._batcher(settings, Worn(self.bodies, logo)) if pattern else batcher,
+            Objective(settings, worn.bordered, [self.detector], self.device),
+            ColorOptimizer(settings.optimization, torch.from_numpy(np.array(colors, np.float32)).to(self.device)),
+            self.flat(logo),
+        )
+
+    def _batcher(self, settings: TrainSettings, worn: Worn) -> Batcher:
+        """Make what builds images of bodies, and of people where there are some, in what is worn."""
+        views = self.view_cache if worn.cloth is None else self._cloth_views
+        source = BodySource(self.bodies, worn, settings.views, self.device, views)
         if self.people:
             size, seed = self.settings.size, settings.run.seed
             people = PeopleSource(self.people, worn, settings.photographs, size, seed)
             source = Mixture(source, people, settings.photographs.people_share, seed)
         sampler = Sampler(settings, source, len(self.backgrounds))
-        first = torch.from_numpy(np.array(colors, np.float32)).to(self.device)
-        return Cloak(
-            generation,
-            logo,
-            Batcher(settings, sampler, self.backgrounds, worn, self.device),
-            Objective(settings, logo, [self.detector], self.device),
-            ColorOptimizer(settings.optimization, first),
-            self.flat(logo),
-        )
+        return Batcher(settings, sampler, self.backgrounds, worn, self.device)
 
     @torch.no_grad()
     def _remember(self, slot: int, cloak: Cloak) -> None:
         skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
-        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = cloak.optimizer.colors()
+        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = torch.from_numpy(cloak.face_colors()).to(
+            self.device
+        )
 
-    def _train_settings(self, slot: int) -> TrainSettings:
+    def _train_settings(self, slot: int, pattern: Mapping[str, str | float] = NO_PATTERN) -> TrainSettings:
         rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])
         whole, turn = AROUND if slot % 2 else 0, rng.integers(360)
         middle = turn if slot % 4 == 2 else 0  # every second of the one-sided ones is seen from the front
@@ -272,4 +303,5 @@ class Pool:
             angles=",".join(f"{angle:g}" for angle in angles),
             distance=f"{DISTANCES[slot % len(DISTANCES)]}",
             elevation=f"{ELEVATIONS[slot % len(ELEVATIONS)]}",
+            **pattern,
         )

@@ -48,6 +48,9 @@ class HardenSettings:
     attack_steps times a turn. With a short life it stays weak, and the detector learns to withstand only weak ones."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 3
     """Steps of a cloak against the detector as it stands, before each update."""
+    cloths: Annotated[float, Bounds(0, 1)] = 0.0
+    """Share of the new cloaks that are a cloth that repeats every 20 to 55 cm, as published textures do. It begins as a
+    plain print or a random pattern."""
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
     attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.05

@@ -24,6 +24,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
+from cloak_core.studies.hardening.decoys import TEXTURE
 from cloak_core.studies.hardening.hardening import Hardening, HardenResult, harden, rate
 from cloak_core.studies.hardening.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
@@ -144,12 +145,12 @@ def test_cloaks_finished_before_the_first_update_are_kept_by_a_stop(
 def test_a_folder_begun_before_a_setting_was_there_goes_on(student: Student, tmp_path: Path) -> None:
     hardened(student, tmp_path / "out", steps=1)
     config = json.loads((tmp_path / "out" / "config.json").read_text())
-    for name in ("perturbation", "replays"):
+    for name in ("perturbation", "replays", "cloths"):
         del config["settings"][name]
     (tmp_path / "out" / "config.json").write_text(json.dumps(config))
     assert hardened(student, tmp_path / "out", resume=True, steps=1).step == 1
-    with pytest.raises(InputError, match="begun with other --perturbation"):
-        hardened(student, tmp_path / "out", resume=True, steps=1, perturbation=0.5)
+    with pytest.raises(InputError, match="begun with other --cloths"):
+        hardened(student, tmp_path / "out", resume=True, steps=1, cloths=0.5)
 
 
 def test_cloaked_images_count_as_much_as_asked_in_the_last_fifth(student: Student, tmp_path: Path) -> None:
@@ -411,6 +412,28 @@ def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_pa
     assert again.precision == "float32"
     assert all(p.dtype == torch.float32 and bool(p.isfinite().all()) for p in again.parameters())
     assert not torch.equal(again(images(1)).scores, load_detector(student.spec)(images(1)).scores)
+
+
+def test_cloths_that_repeat_are_among_the_cloaks_beside_the_same_clean_images(student: Student) -> None:
+    settings = HardenSettings(**(FEW | {"cloths": 1.0}))
+    pool, plain = (
+        Pool(one, box_bodies(), noise_backgrounds(), student.detector)
+        for one in (settings, replace(settings, cloths=0.0))
+    )
+    cloak = pool.cloak(0)
+    assert 0.2 <= cloak.worn.cloth.cloth.metres <= 0.55 and plain.cloak(0).worn.cloth is None
+    pair, other = pool.pair(0), plain.pair(0)
+    assert torch.equal(pair.clean, other.clean) and not torch.equal(pair.cloaked, other.cloaked)
+    before = cloak.optimizer.colors().detach().clone()
+    pool.attack(0)
+    assert not torch.equal(cloak.optimizer.colors(), before)
+    assert cloak.face_colors().shape == (len(cloak.logo), 3) and cloak.texture().shape == (3, TEXTURE, TEXTURE)
+    again = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
+    again.load(1, pool.state())
+    assert torch.equal(again.cloak(0).optimizer.colors(), cloak.optimizer.colors())
+    for turn in range(1, 5):  # a life is over: the faces remember what lay on them
+        pool.attack(turn)
+    assert pool.skins[0].shape == (box_bodies().face_count, 3)
 
 
 def test_a_perturbation_moves_images_in_cloaks_within_its_bound_and_nothing_else(
