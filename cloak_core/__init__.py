@@ -10,20 +10,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cloak_core.attack.loop import RunResult
-    from cloak_core.attack.settings import TrainSettings, make_settings
+    from cloak_core.core.detector.protocol import Detections, Detector
+    from cloak_core.core.evaluation.settings import EvaluateSettings, FilmSettings
+    from cloak_core.core.logo import Logo, load_logo, make_logo
+    from cloak_core.core.loop import RunResult
+    from cloak_core.core.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
-    from cloak_core.detectors.protocol import Detections, Detector
-    from cloak_core.evaluation.report.run_report import make_report
-    from cloak_core.evaluation.settings import EvaluateSettings, FilmSettings
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
     from cloak_core.library import evaluate, film, train, wear
-    from cloak_core.output.printing import print_logo
-    from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
-    from cloak_core.scene.logos.logo import Logo, load_logo, make_logo
-    from cloak_core.scene.opening import load_scene
-    from cloak_core.scene.photographs.people import People, load_people
+    from cloak_core.products.printing import print_logo
+    from cloak_core.products.run_report import make_report
+    from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+    from cloak_core.sources.bodies.opening import load_scene
+    from cloak_core.sources.photographs.people import People, load_people
 
 __version__ = "1.0.0"
 __all__ = [

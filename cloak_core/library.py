@@ -13,28 +13,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from cloak_core.attack.events import OnEvent
-from cloak_core.attack.loop import RunResult
-from cloak_core.attack.settings import TrainSettings, make_settings
-from cloak_core.attack.settings.values import Angles, from_plain
-from cloak_core.attack.training import train as train_logo
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.events import OnEvent
+from cloak_core.core.logo import Logo, load_logo
+from cloak_core.core.loop import RunResult
+from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.core.settings.values import Angles, from_plain
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import Detector
-from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.trained_run import read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError
-from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
-from cloak_core.scene.logos.logo import Logo, load_logo
-from cloak_core.scene.opening import load_scene
-from cloak_core.scene.photographs.people import People, load_people
+from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs.people import People, load_people
+from cloak_core.studies.trained_run import read_run
+from cloak_core.studies.trainings.training import train as train_logo
 from cloak_core.zoo.entry import run_path
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.measure import OnProgress
-    from cloak_core.evaluation.settings import FilmSettings, WearSettings
-    from cloak_core.render.photographs.fitting import Fit
+    from cloak_core.core.evaluation.measure import OnProgress
+    from cloak_core.core.evaluation.settings import FilmSettings, WearSettings
+    from cloak_core.sources.photographs.fitting import Fit
 
 T = TypeVar("T")
 _log = logging.getLogger("cloak")
@@ -133,10 +133,10 @@ def evaluate(
     angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
     finished run, a scene of another topology, nothing to evaluate on.
     """
-    from cloak_core.evaluation.cloaked import open_cloaked
-    from cloak_core.evaluation.evaluate import FOLDER
-    from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
-    from cloak_core.evaluation.evaluate import over_time as judge_snapshots
+    from cloak_core.studies.cloaked import open_cloaked
+    from cloak_core.studies.evaluate import FOLDER
+    from cloak_core.studies.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
+    from cloak_core.studies.evaluate import over_time as judge_snapshots
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
@@ -181,8 +181,8 @@ def _on_people(
     settings: EvaluateSettings,
     on_progress: OnProgress | None,
 ) -> dict:
-    from cloak_core.evaluation.settings import WearSettings
-    from cloak_core.evaluation.wearing.wearing import evaluate_on_people
+    from cloak_core.core.evaluation.settings import WearSettings
+    from cloak_core.studies.wearing.wearing import evaluate_on_people
 
     chosen = WearSettings(size=settings.size, threshold=settings.threshold, bare=settings.bare, batch=settings.batch)
     people = people if isinstance(people, People) else load_people(people)
@@ -209,8 +209,8 @@ def film(
     prints: frames hidden, the longest visible run, first sight, tracks; per detector for colours and clothing.
     InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
     """
-    from cloak_core.evaluation.cloaked import open_cloaked
-    from cloak_core.evaluation.film import make_film
+    from cloak_core.studies.cloaked import open_cloaked
+    from cloak_core.studies.film import make_film
 
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
@@ -245,9 +245,9 @@ def wear(
     Returns what `cloak wear --json` prints: for each detector success of every colours and control with intervals over
     people and photographs, how many people, who was left out and why. InputError names what cannot be read or worn.
     """
-    from cloak_core.evaluation.settings import WearSettings
-    from cloak_core.evaluation.wearing.wearing import wear_and_judge
-    from cloak_core.evaluation.wearing.widths import choose_widths
+    from cloak_core.core.evaluation.settings import WearSettings
+    from cloak_core.studies.wearing.wearing import wear_and_judge
+    from cloak_core.studies.wearing.widths import choose_widths
 
     settings = _either(settings, changes, WearSettings)
     given = [os.fspath(color) for color in ([colors] if isinstance(colors, str | os.PathLike) else colors)]
@@ -266,7 +266,7 @@ def _fitted(people: People | Named | None) -> list[Fit]:
     """Fit bodies to the people, or find them in the cache."""
     if people is None:
         return []
-    from cloak_core.render.photographs.fits import fit_people
+    from cloak_core.sources.photographs.fits import fit_people
 
     return fit_people(people if isinstance(people, People) else load_people(people))
 

@@ -19,7 +19,7 @@ import cloak_core
 from cloak_core import cli
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.exchange.scenes import write_scene
-from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
+from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
 
 HOW = {"steps": 4, "size": 64, "batch": 3, "translation": 5, "samples": 1, "angles": "-10,10", "preview_every": 0}
 LOOK = {"angles": "-10,10", "size": 64, "shift": 5, "samples": 1, "images_per_view": 1, "resamples": 100, "bare": 2}

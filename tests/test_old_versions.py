@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.attack.events import read_events
 from cloak_core.cli import main
-from cloak_core.evaluation.trained_run import seen_in_training
+from cloak_core.core.events import read_events
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from tests.attack.test_run_identity import picture
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.trained_run import seen_in_training
+from tests.core.test_run_identity import picture
 
 OLD = Path(__file__).parent / "old_versions" / "v0.1.0"
 SETTINGS = {"size": "96", "translation": "8", "batch": "2", "preview-every": "0", "seed": "3", "distance": "2.0:2.4"}

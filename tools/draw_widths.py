@@ -19,16 +19,16 @@ from pathlib import Path
 
 import numpy as np
 
+from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluation.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_axis, style
-from cloak_core.evaluation.settings import WearSettings
-from cloak_core.evaluation.wearing.clothes import read_clothes
-from cloak_core.evaluation.wearing.widths import AUTO, WIDTHS, width_curve
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import write_json
 from cloak_core.library import load_people
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_axis, style
+from cloak_core.studies.wearing.clothes import read_clothes
+from cloak_core.studies.wearing.widths import AUTO, WIDTHS, width_curve
 
 RATES = {"success": "at 0.6", "success_own": "at the own thresholds"}
 

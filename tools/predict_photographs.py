@@ -22,20 +22,20 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.logo import load_logo
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluation.cloaked import Cloaked, cloth_colors, open_cloaked
-from cloak_core.evaluation.evaluate import evaluate
-from cloak_core.evaluation.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_along_x, percent_axis, style
-from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.trained_run import read_run
-from cloak_core.evaluation.wearing.clothes import CLOTHES, PictureClothes, read_clothes
-from cloak_core.evaluation.wearing.wearing import wear_and_judge
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 from cloak_core.library import load_people
-from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
-from cloak_core.scene.logos.logo import load_logo
-from cloak_core.scene.opening import load_scene
+from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.studies.cloaked import Cloaked, cloth_colors, open_cloaked
+from cloak_core.studies.evaluate import evaluate
+from cloak_core.studies.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_along_x, percent_axis, style
+from cloak_core.studies.trained_run import read_run
+from cloak_core.studies.wearing.clothes import CLOTHES, PictureClothes, read_clothes
+from cloak_core.studies.wearing.wearing import wear_and_judge
 from cloak_core.zoo.entry import run_path
 
 FRONT, AROUND = np.arange(-10.0, 11, 5), np.arange(0.0, 360, 45)

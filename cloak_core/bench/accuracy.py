@@ -31,15 +31,15 @@ from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
 from cloak_core.bench.peers import PeerViewCache, available, usable
 from cloak_core.bench.reference import Matrix, Reference, matrix_of, reference
 from cloak_core.bench.views import cached_render, clock, machine, timed
+from cloak_core.core.cameras import Camera
+from cloak_core.core.view import CrowdedPixels
+from cloak_core.core.visibility.settings import GRIDS, Light, RenderSettings
+from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
-from cloak_core.render.settings import GRIDS, Light, RenderSettings
-from cloak_core.render.threads import torch_threads
-from cloak_core.render.types import CrowdedPixels
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 _log = logging.getLogger(__name__)
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cloak_core.bench.views import chest_and_thighs
+from cloak_core.core.cameras import Camera
+from cloak_core.core.geometry import vertex_normals
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.scene.cameras import Camera
-from cloak_core.scene.geometry import vertex_normals
-from cloak_core.scene.meshes.subdivision import subdivide
+from cloak_core.sources.bodies.meshes.subdivision import subdivide
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ import torch
 from cloak_core.bench.records import table
 from cloak_core.bench.step import Clock
 from cloak_core.bench.views import machine
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.detector.scoring import max_person_score
+from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import max_person_score
-from cloak_core.evaluation.report.words import short_name
-from cloak_core.render.threads import torch_threads
+from cloak_core.studies.report.words import short_name
 
 
 def run_bench_detectors(

@@ -24,12 +24,12 @@ import torch
 
 from cloak_core.bench.records import circumstances, table, with_earlier, write_record
 from cloak_core.bench.views import machine
+from cloak_core.core.cameras import Camera
+from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
-from cloak_core.render.settings import RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 _log = logging.getLogger(__name__)
 

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 
 from cloak_core.bench.oracle import screen_of
-from cloak_core.render.rasterizer import area_fragments, bounding_window, rasterize
-from cloak_core.render.screen import GRID
-from cloak_core.render.types import CrowdedPixels
+from cloak_core.core.view import CrowdedPixels
+from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, rasterize
+from cloak_core.core.visibility.screen import GRID
 
 SIDE = 416
 """Pixels along each side of the image."""

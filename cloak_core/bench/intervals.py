@@ -13,7 +13,7 @@ from scipy.special import expit
 from scipy.stats import beta
 
 from cloak_core.bench.records import table
-from cloak_core.evaluation.intervals import bootstrap_interval, cells, clustered_deviation, clustered_rate
+from cloak_core.core.evaluation.intervals import bootstrap_interval, cells, clustered_deviation, clustered_rate
 
 IMAGES = 336
 """Images of one evaluation and training, dealt out to its bodies."""
@@ -167,7 +167,7 @@ def intervals_page(result: dict, command: str) -> str:
         "",
         "`bootstrap` is the pigeonhole bootstrap with a multiway clustered deviation, `Korn-Graubard` an exact "
         "binomial interval at the effective sample size, `ours` what every report prints: the bootstrap's interval, "
-        "widened by what people unlike any of the tested bodies could change (`cloak_core/evaluation/intervals.py`).",
+        "widened by what people unlike any of the tested bodies could change (`cloak_core/core/evaluation/intervals.py`).",
         "",
         "The width is not caution: no method can be much narrower. Where a share q of all people is never hidden, n "
         "tested bodies hold none of them with probability (1 - q)^n, and the evaluation looks as if everybody were "

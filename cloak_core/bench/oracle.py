@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.render.clipping import clip
-from cloak_core.render.packing import DEPTH_BITS
-from cloak_core.render.screen import GRID
-from cloak_core.render.types import Screen
+from cloak_core.core.view import Screen
+from cloak_core.core.visibility.clipping import clip
+from cloak_core.core.visibility.packing import DEPTH_BITS
+from cloak_core.core.visibility.screen import GRID
 
 
 @dataclass(frozen=True)

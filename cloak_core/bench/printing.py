@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
+from cloak_core.core.pictures import perspective, read_picture
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.writing import new_folder, write_bytes
-from cloak_core.output.calibration.chart import write_chart
-from cloak_core.output.calibration.fitting import profile_of
-from cloak_core.scene.color_difference import mean_difference
-from cloak_core.scene.meshes.mesh_file import to_linear, to_srgb
-from cloak_core.scene.pictures import perspective, read_picture
+from cloak_core.products.calibration.chart import write_chart
+from cloak_core.products.calibration.fitting import profile_of
+from cloak_core.sources.bodies.logos.color_difference import mean_difference
+from cloak_core.sources.bodies.meshes.mesh_file import to_linear, to_srgb
 
 OVERPRINTS = np.array([
     [238, 234, 226], [232, 205, 40], [196, 40, 105], [188, 44, 50],

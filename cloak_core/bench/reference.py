@@ -13,14 +13,14 @@ import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.geometry import vertex_normals
+from cloak_core.core.view import View, Window
+from cloak_core.core.visibility.clipping import flatten
+from cloak_core.core.visibility.settings import Light
+from cloak_core.core.visibility.torch.areas import Parts, visible_parts
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.clipping import flatten
-from cloak_core.render.settings import Light
-from cloak_core.render.torch.areas import Parts, visible_parts
-from cloak_core.render.types import View, Window
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
-from cloak_core.scene.geometry import vertex_normals
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 Reals = Float64[np.ndarray, " N"]
 

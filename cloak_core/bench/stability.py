@@ -28,10 +28,10 @@ from cloak_core.bench.oracle import (
 from cloak_core.bench.stability_cases import CASES, Case
 from cloak_core.bench.stability_checks import CHECKS
 from cloak_core.bench.views import machine
-from cloak_core.render.compiled import torch_alone
-from cloak_core.render.packing import DEPTH_BITS
-from cloak_core.render.rasterizer import area_fragments, bounding_window, rasterize
-from cloak_core.render.screen import GRID
+from cloak_core.core.visibility.compiled import torch_alone
+from cloak_core.core.visibility.packing import DEPTH_BITS
+from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, rasterize
+from cloak_core.core.visibility.screen import GRID
 
 AREA = 1e-6
 """Largest difference, as a share of a pixel, between areas that are to be the same."""

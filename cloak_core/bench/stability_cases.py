@@ -11,10 +11,10 @@ import trimesh
 from torch import Tensor
 
 from cloak_core.bench.oracle import screen_of
-from cloak_core.render.projection import project
-from cloak_core.render.screen import GRID, GUARD
-from cloak_core.render.types import Screen
-from cloak_core.scene.cameras import Camera
+from cloak_core.core.cameras import Camera
+from cloak_core.core.view import Screen
+from cloak_core.core.visibility.projection import project
+from cloak_core.core.visibility.screen import GRID, GUARD
 
 HALF = GRID // 2
 

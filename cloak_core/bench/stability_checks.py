@@ -15,17 +15,17 @@ from torch import Tensor
 from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.reference import TwinLight, matrix_of
 from cloak_core.bench.stability_cases import ball, rows
+from cloak_core.core.cameras import Camera
+from cloak_core.core.view import View
+from cloak_core.core.visibility.compiled import torch_alone
+from cloak_core.core.visibility.projection import project
+from cloak_core.core.visibility.rasterizer import rasterize
+from cloak_core.core.visibility.screen import GRID
+from cloak_core.core.visibility.settings import Light, RenderSettings
+from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.compiled import torch_alone
-from cloak_core.render.projection import project
-from cloak_core.render.rasterizer import rasterize
-from cloak_core.render.screen import GRID
-from cloak_core.render.settings import Light, RenderSettings
-from cloak_core.render.threads import torch_threads
-from cloak_core.render.types import View
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 IMAGE = 1e-6
 """Largest difference between images that are to be the same."""

@@ -20,22 +20,22 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from cloak_core.attack.batches import Batcher, Prefetcher
-from cloak_core.attack.events import EventLog, read_events
-from cloak_core.attack.losses import disappearance
-from cloak_core.attack.objective import Objective, gradient_step
-from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.sampling import Sampler, is_fresh
-from cloak_core.attack.settings import TrainSettings, make_settings
-from cloak_core.attack.training import make_view_cache
 from cloak_core.bench.records import table
 from cloak_core.bench.views import chest_and_thighs, machine
-from cloak_core.detectors.protocol import Detector
+from cloak_core.core.batches import Batcher, Prefetcher
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.events import EventLog, read_events
+from cloak_core.core.logo import make_logo
+from cloak_core.core.losses import disappearance
+from cloak_core.core.objective import Objective, gradient_step
+from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.sampling import Sampler, is_fresh
+from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.threads import torch_threads
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
-from cloak_core.scene.logos.logo import make_logo
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.studies.trainings.training import make_view_cache
 
 WARM_UP = 3
 """Rounds that are not counted: what allocates, compiles and plans on first use."""

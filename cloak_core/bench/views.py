@@ -15,17 +15,17 @@ from typing import Literal
 import numpy as np
 import torch
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.paint import compose
+from cloak_core.core.visibility.settings import GRIDS, RenderSettings
+from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
-from cloak_core.render.compositing import compose
-from cloak_core.render.settings import GRIDS, RenderSettings
-from cloak_core.render.threads import torch_threads
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.render.view_files import StoredViews
-from cloak_core.scene.cameras import Camera
-from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.sources.bodies.view_files import StoredViews
 
 BATCH = 8
 """Views at once."""

@@ -18,10 +18,10 @@ from cloak_core.commands.sharing import Sharing, SharingOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.detectors.protocol import Detector
-    from cloak_core.evaluation.card.gate import Bound
-    from cloak_core.evaluation.card.protocol import Budget
-    from cloak_core.evaluation.store import RunStore
+    from cloak_core.core.detector.protocol import Detector
+    from cloak_core.studies.card.gate import Bound
+    from cloak_core.studies.card.protocol import Budget
+    from cloak_core.studies.store import RunStore
 
 
 @dataclass(kw_only=True)
@@ -68,10 +68,10 @@ class Assess(Splitting, Detecting, Sharing):
         self.sharing.spread(self._parts(), self.compute)
         cards = self.work() if self.specs else {}
         # Not before: `work` counts the time that it takes to load all this.
-        from cloak_core.evaluation.card.gate import check, write_junit
-        from cloak_core.evaluation.card.leaderboard import gather, write_leaderboard
-        from cloak_core.evaluation.card.page import write_card, write_comparison
-        from cloak_core.evaluation.report.words import short_names
+        from cloak_core.studies.card.gate import check, write_junit
+        from cloak_core.studies.card.leaderboard import gather, write_leaderboard
+        from cloak_core.studies.card.page import write_card, write_comparison
+        from cloak_core.studies.report.words import short_names
 
         cards = cards or gather(self.out)
         called = short_names(card["spec"] for card in cards.values())
@@ -98,7 +98,7 @@ class Assess(Splitting, Detecting, Sharing):
         """Read the gate, before anything is measured."""
         if self.junit is not None and self.gate is None:
             raise InputError("--junit: needs --gate FILE")
-        from cloak_core.evaluation.card.gate import read_gate
+        from cloak_core.studies.card.gate import read_gate
 
         return [] if self.gate is None else read_gate(self.gate)
 
@@ -107,7 +107,7 @@ class Assess(Splitting, Detecting, Sharing):
         return [(spec, replace(alone, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
 
     def _budget(self) -> Budget:
-        from cloak_core.evaluation.card.protocol import DEFAULT, FULL, QUICK
+        from cloak_core.studies.card.protocol import DEFAULT, FULL, QUICK
 
         if self.quick and self.full:
             raise InputError("--quick, --full: one of them")
@@ -118,7 +118,7 @@ class Assess(Splitting, Detecting, Sharing):
 
     def _patterns(self) -> tuple[str, ...]:
         """List the patterns with their widths. InputError: one cannot be read."""
-        from cloak_core.evaluation.wearing.clothes import cloth_spec, read_clothes
+        from cloak_core.studies.wearing.clothes import cloth_spec, read_clothes
 
         patterns = tuple(map(cloth_spec, self.patterns))
         for spec in patterns:
@@ -127,9 +127,9 @@ class Assess(Splitting, Detecting, Sharing):
 
     def work(self) -> dict[str, dict]:
         """Make a card for each detector, by its folder's name."""
-        from cloak_core.evaluation.card.assess import Assessment
-        from cloak_core.evaluation.card.leaderboard import folder_names
-        from cloak_core.scene.photographs.people import load_people
+        from cloak_core.sources.photographs.people import load_people
+        from cloak_core.studies.card.assess import Assessment
+        from cloak_core.studies.card.leaderboard import folder_names
 
         began = time.monotonic()
         self.prepare()
@@ -146,8 +146,8 @@ class Assess(Splitting, Detecting, Sharing):
         return cards
 
     def _store(self, spec: str, detector: Detector, budget: Budget) -> RunStore:
-        from cloak_core.evaluation.settings import StoreOptions
-        from cloak_core.evaluation.store import RunStore
+        from cloak_core.core.evaluation.settings import StoreOptions
+        from cloak_core.studies.store import RunStore
 
         options = StoreOptions(
             out=self.out,
@@ -159,7 +159,7 @@ class Assess(Splitting, Detecting, Sharing):
         return RunStore(self.split({spec: detector}, with_people=False), options, lambda message: None)
 
     def show(self, result: dict) -> None:
-        from cloak_core.evaluation.card.words import headline, lede
+        from cloak_core.studies.card.words import headline, lede
 
         for card in result["cards"].values() if "cards" in result else [result]:
             out.print(headline(card))

@@ -10,7 +10,7 @@ from typing import ClassVar
 from rich.console import Console
 
 from cloak_core.files.errors import InputError, Stopped, one_line
-from cloak_core.scene.opening import load_scene
+from cloak_core.sources.bodies.opening import load_scene
 
 __all__ = ["RANK", "Command", "Stopped", "err", "load_scene", "out", "require_new", "share", "warn"]
 

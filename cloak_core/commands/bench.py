@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.attack.settings.values import Range
 from cloak_core.commands.base import Command, err, load_scene, out, require_new
 from cloak_core.commands.options import DetectorOptions, keep_freed_memory
+from cloak_core.core.settings.values import Range
 from cloak_core.files.writing import write_text
 
 
@@ -93,10 +93,10 @@ class Step(Timed):
     """Markdown file to write the table to."""
 
     def run(self) -> dict:
-        from cloak_core.attack.settings import make_settings
         from cloak_core.bench.step import run_bench_step, step_table
+        from cloak_core.core.settings import make_settings
         from cloak_core.detectors.loading import load_detector
-        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+        from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 
         keep_freed_memory()
         result = run_bench_step(

@@ -14,18 +14,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cloak_core.attack.events import read_events
-from cloak_core.attack.settings import make_settings
 from cloak_core.commands.base import Stopped, err, load_scene, out, warn
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.train import Train
-from cloak_core.evaluation.settings import EvaluateSettings
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.events import read_events
+from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_text
-from cloak_core.scene.blender.outside import ADD_ON, find_bpy
+from cloak_core.sources.bodies.blender.outside import ADD_ON, find_bpy
 
 SCRIPT = ADD_ON / "train.py"
 LOOK_SECONDS = 0.3
@@ -98,7 +98,7 @@ class Demo(Computing):
     """Every random draw derives from it."""
 
     def run(self) -> dict:
-        from cloak_core.scene.logos.logo import select_region
+        from cloak_core.core.logo import select_region
 
         self.prepare()
         logo = self.out.parent / f"{self.out.name}-logo.npy"

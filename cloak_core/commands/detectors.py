@@ -7,9 +7,9 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.options import Detecting
+from cloak_core.core.settings.values import Angles
 from cloak_core.files.errors import InputError
 
 LOW = 0.1
@@ -61,20 +61,20 @@ class Check(Detecting):
             detector = self.load(self.spec)
             return check_image(detector, self.image, threshold=self.threshold, out=self.out)
         if self.people is not None:
-            from cloak_core.evaluation.clean import check_people
-            from cloak_core.scene.photographs.people import load_people
+            from cloak_core.sources.photographs.people import load_people
+            from cloak_core.studies.clean import check_people
 
             return check_people(self.load(self.spec), load_people(self.people))
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
-        from cloak_core.evaluation.clean import check_scene
-        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+        from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+        from cloak_core.studies.clean import check_scene
 
         detector = self.load(self.spec)
         bodies, backgrounds = load_scene(self.scene), load_backgrounds(self.backgrounds)
         result = check_scene(detector, bodies, backgrounds, self.angles, seed=self.seed)
         if self.patterns:
-            from cloak_core.evaluation.negatives import pattern_alarms
+            from cloak_core.studies.negatives import pattern_alarms
 
             result["patterns"] = pattern_alarms(detector, backgrounds, bodies, self.seed)
         return result
@@ -148,7 +148,7 @@ class Verify(Detecting):
             raise InputError("detectors verify: which detector?")
         if self.renders < 0 or (self.images is None and not self.renders):
             raise InputError("--renders: some images are needed")
-        from cloak_core.evaluation.clean import verify_specs
+        from cloak_core.studies.clean import verify_specs
 
         original = None if self.against is None else self.load(self.against)
         reports = verify_specs(self.specs, self.load, self.images, self.renders, original)

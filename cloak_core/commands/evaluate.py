@@ -9,13 +9,13 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, out, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_worn
-from cloak_core.detectors import THRESHOLD
-from cloak_core.evaluation.settings import EvaluateSettings
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.settings.values import Angles
 
 
 @dataclass(kw_only=True)
@@ -55,9 +55,9 @@ class Evaluate(Detecting):
     )
 
     def run(self) -> dict:
-        from cloak_core.evaluation.trained_run import read_run
         from cloak_core.library import evaluate
-        from cloak_core.scene.photographs.people import load_people
+        from cloak_core.sources.photographs.people import load_people
+        from cloak_core.studies.trained_run import read_run
         from cloak_core.zoo.entry import run_path
 
         self.prepare()
@@ -98,7 +98,7 @@ def show_success(result: dict) -> None:
 
     White box: the colours were trained against this detector; black box: they were not.
     """
-    from cloak_core.evaluation.report.words import instead, percent
+    from cloak_core.studies.report.words import instead, percent
 
     if len(result["detectors"]) > 1:
         out.print(matrix(result))
@@ -128,7 +128,7 @@ def success_table(spec: str, measured: dict, threshold: float, own: float) -> Ta
 
 def matrix(result: dict) -> Table:
     """Make a table with a row per detector: trained against or not, success under the logo and the controls."""
-    from cloak_core.evaluation.report.words import short_name
+    from cloak_core.studies.report.words import short_name
 
     controls = [name for name, rates in next(iter(result["detectors"].values())).items() if "success" in rates]
     table = Table(title="success by detector: white box = trained against it, black box = not")
@@ -154,8 +154,8 @@ class Report(Command):
     """Run folder that `cloak train` wrote."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.report.run_report import make_report
-        from cloak_core.evaluation.trained_run import read_run
+        from cloak_core.products.run_report import make_report
+        from cloak_core.studies.trained_run import read_run
 
         read_run(self.run_folder)
         return {"report": str(make_report(self.run_folder))}

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import out
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import counted
-from cloak_core.evaluation.settings import EvaluateSettings
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.settings.values import Angles
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.renderer import BodyRenderer
+    from cloak_core.core.evaluation.renderer import BodyRenderer
 
 
 @dataclass(kw_only=True)
@@ -55,7 +55,7 @@ class Coco(Computing):
     """Every random draw derives from it."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.coco import export_coco
+        from cloak_core.studies.coco import export_coco
 
         self.prepare()
         renderer = self._renderer()
@@ -63,9 +63,9 @@ class Coco(Computing):
             return export_coco(renderer, self.out, self.format, tell)
 
     def _renderer(self) -> BodyRenderer:
-        from cloak_core.evaluation.cloaked import open_cloaked
-        from cloak_core.evaluation.evaluate import make_renderer
-        from cloak_core.evaluation.trained_run import read_run
+        from cloak_core.studies.cloaked import open_cloaked
+        from cloak_core.studies.evaluate import make_renderer
+        from cloak_core.studies.trained_run import read_run
         from cloak_core.zoo.entry import run_path
 
         folder = run_path(self.run_folder)

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.commands.base import out, require_new, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
-from cloak_core.evaluation.settings import FilmSettings
+from cloak_core.core.evaluation.settings import FilmSettings
 
 
 @dataclass(kw_only=True)
@@ -44,13 +44,13 @@ class Film(Detecting):
     settings: Annotated[OmitArgPrefixes[FilmSettings], arg(name="film")] = field(default_factory=FilmSettings)
 
     def run(self) -> dict:
-        from cloak_core.scene.videos import check_film
+        from cloak_core.sources.bodies.videos import check_film
 
         self.prepare()
         require_new(self.out)
         check_film(self.out)
-        from cloak_core.evaluation.trained_run import read_run
         from cloak_core.library import film
+        from cloak_core.studies.trained_run import read_run
         from cloak_core.zoo.entry import run_path
 
         trained = [record["spec"] for record in read_run(run_path(self.run_folder))["detectors"]]
@@ -68,7 +68,7 @@ class Film(Detecting):
             )
 
     def show(self, result: dict) -> None:
-        from cloak_core.evaluation.report.words import instead, percent
+        from cloak_core.studies.report.words import instead, percent
 
         for spec, told in result["detectors"].items():
             out.print(_table(spec, told, result))

@@ -12,12 +12,12 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.commands.base import Stopped, load_scene, out
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress
-from cloak_core.defend.settings import HardenSettings
 from cloak_core.files.errors import InputError
+from cloak_core.studies.hardening.settings import HardenSettings
 
 if TYPE_CHECKING:
-    from cloak_core.defend.pool import Given
     from cloak_core.exchange.bodies import Bodies
+    from cloak_core.studies.hardening.pool import Given
 
 
 @dataclass(kw_only=True)
@@ -58,10 +58,10 @@ class Harden(Computing):
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
 
     def run(self) -> dict:
-        from cloak_core.defend.hardening import harden
-        from cloak_core.defend.students import open_student
-        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-        from cloak_core.scene.photographs.people import load_people
+        from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+        from cloak_core.sources.photographs.people import load_people
+        from cloak_core.studies.hardening.hardening import harden
+        from cloak_core.studies.hardening.students import open_student
 
         self.prepare()
         if self.out.exists() and not self.resume:
@@ -98,9 +98,9 @@ class Harden(Computing):
 
     @staticmethod
     def _given(bodies: Bodies, name: str) -> Given:
-        from cloak_core.defend.pool import Given
+        from cloak_core.core.logo import load_logo
         from cloak_core.exchange.colors import read_colors
-        from cloak_core.scene.logos.logo import load_logo
+        from cloak_core.studies.hardening.pool import Given
         from cloak_core.zoo.entry import run_path
 
         folder = run_path(name)
@@ -117,7 +117,7 @@ class Harden(Computing):
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['spec']}: step {result['step']} of {result['steps']}, {result['seconds']:.0f} s")
         if result["before"] is not None:
-            from cloak_core.evaluation.card.words import headline, lede
+            from cloak_core.studies.card.words import headline, lede
 
             for name in ("before", "after"):
                 out.print(f"{name}: {headline(result[name])}")

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.commands.base import out, share, warn
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
-from cloak_core.evaluation.settings import JudgeSettings
+from cloak_core.core.evaluation.settings import JudgeSettings
 from cloak_core.files.errors import InputError
 
 
@@ -44,14 +44,14 @@ class Judge(Detecting):
     def run(self) -> dict:
         self.prepare()
         if self.plan:
-            from cloak_core.evaluation.statistics_photographs import RATES, independent_pairs, plan
+            from cloak_core.studies.statistics_photographs import RATES, independent_pairs, plan
 
             return {"plan": plan(), "independent": {f"{rate:g}": independent_pairs(rate) for rate in RATES}}
         if self.directory is None:
             raise InputError("judge: which folder?")
         if not self.detector:
             raise InputError("--detector: none given")
-        from cloak_core.evaluation.photographs.judge import judge
+        from cloak_core.studies.judging.judge import judge
 
         with counted("looking") as tell:
             return judge(

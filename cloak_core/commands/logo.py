@@ -9,17 +9,17 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
+from cloak_core.core.settings.values import Angles
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
 
 
 def write_logo(path: Path, bodies: Bodies, ids: np.ndarray) -> dict:
-    from cloak_core.scene.logos.logo import area_share
+    from cloak_core.core.logo import area_share
 
     write_face_list(path, ids, bodies.topology)
     return {"faces": len(ids), "area_share": round(float(area_share(bodies, ids)), 5), "out": str(path)}
@@ -47,7 +47,7 @@ class Select(Command):
     """With --box: only faces whose normal points that way."""
 
     def run(self) -> dict:
-        from cloak_core.scene.logos.logo import select_box, select_region
+        from cloak_core.core.logo import select_box, select_region
 
         if (self.region is None) == (self.box is None):
             raise InputError("logo select: give either --region or --box")
@@ -92,7 +92,7 @@ class Project(Command):
     """Centre x y of the stamp in metres, in the first pose (default: the chest's)."""
 
     def run(self) -> dict:
-        from cloak_core.scene.logos.stamping import project_mask, project_text
+        from cloak_core.sources.bodies.logos.stamping import project_mask, project_text
 
         if (self.text is None) == (self.mask is None):
             raise InputError("logo project: give either --text or --mask")
@@ -132,11 +132,11 @@ class Heatmap(Detecting):
     """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
 
     def run(self) -> dict:
-        from cloak_core.attack.heatmap import heatmap
+        from cloak_core.core.geometry import face_areas
         from cloak_core.exchange.heat import hottest_faces
         from cloak_core.files.writing import write_npy
-        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-        from cloak_core.scene.geometry import face_areas
+        from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+        from cloak_core.studies.trainings.heatmap import heatmap
 
         self.prepare()
         logo = self.logo or self.out.with_name(self.out.stem + "-pick.npy")
@@ -178,9 +178,9 @@ class Transfer(Command):
     """Run folder (or zoo:NAME) whose colours come along."""
 
     def run(self) -> dict:
+        from cloak_core.core.logo import load_logo
         from cloak_core.exchange.colors import read_colors, write_colors
-        from cloak_core.output.transfer import transfer_logo
-        from cloak_core.scene.logos.logo import load_logo
+        from cloak_core.products.transfer import transfer_logo
         from cloak_core.zoo.entry import run_path
 
         painted = self.out.with_name(self.out.stem + "-colors.npy")

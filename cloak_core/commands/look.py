@@ -14,7 +14,7 @@ from cloak_core.commands.options import Detecting
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.look import Looker
+    from cloak_core.studies.look import Looker
 
 MAX_LINE = 1 << 16
 """Characters of a request."""
@@ -35,8 +35,8 @@ class Look(Detecting):
 
     def run(self) -> dict:
         self.prepare()
-        from cloak_core.evaluation.look import Look, Looker
         from cloak_core.files.reading import read_json
+        from cloak_core.studies.look import Look, Looker
 
         asked = None if self.request == Path("-") else Look.of(read_json(self.request))
         looker = Looker(self.by_spec(self.detector or ("builtin",)))
@@ -53,8 +53,8 @@ class Look(Detecting):
 
 def answer_lines(looker: Looker) -> int:
     """Answer the requests of standard input, one a line; how many there were."""
-    from cloak_core.evaluation.look import Look
     from cloak_core.files.reading import parse_json
+    from cloak_core.studies.look import Look
 
     count = 0
     while line := sys.stdin.readline(MAX_LINE):
@@ -72,8 +72,8 @@ def answer_lines(looker: Looker) -> int:
 
 def tell_error(record: dict, message: str) -> None:
     """Write what was wrong with a request to where its answer is waited for."""
-    from cloak_core.evaluation.look import ANSWER
     from cloak_core.files.writing import write_json
+    from cloak_core.studies.look import ANSWER
 
     place = record.get("out")
     if isinstance(place, str) and Path(place).is_dir():

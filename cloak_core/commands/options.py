@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from cloak_core.attack.settings import check_settings
-from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.commands.base import Command
+from cloak_core.core.settings import check_settings
+from cloak_core.core.settings.components import ComputeSettings
 
 if TYPE_CHECKING:
-    from cloak_core.detectors.protocol import Detector
-    from cloak_core.evaluation.data_split import DataSplit
+    from cloak_core.core.detector.protocol import Detector
+    from cloak_core.studies.data_split import DataSplit
 
 _MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8
 """Options of mallopt(3)."""
@@ -132,8 +132,8 @@ class Splitting(Command):
 
     def split(self, detectors: dict[str, Detector], with_people: bool = True) -> DataSplit:
         """Open the material and split it. InputError: something cannot be opened, or is too little to split."""
-        from cloak_core.evaluation.data_split import open_data_split
-        from cloak_core.scene.photographs.people import load_people
+        from cloak_core.sources.photographs.people import load_people
+        from cloak_core.studies.data_split import open_data_split
 
         return open_data_split(
             detectors,

@@ -11,9 +11,9 @@ import typing
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from cloak_core.attack.settings.values import Parsable
 from cloak_core.commands.base import Command
 from cloak_core.commands.help import FOUR_DEEP, missing, one_command, usage
+from cloak_core.core.settings.values import Parsable
 from cloak_core.files.errors import InputError
 
 REGISTRY = ConstructorRegistry()

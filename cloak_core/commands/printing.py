@@ -45,11 +45,11 @@ class Print(Command):
     run's come out."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.trained_run import read_run
+        from cloak_core.core.logo import load_logo
         from cloak_core.exchange.profiles import read_profile
-        from cloak_core.output.printing import print_logo
-        from cloak_core.scene.logos.logo import load_logo
-        from cloak_core.scene.logos.palette import read_palette
+        from cloak_core.products.printing import print_logo
+        from cloak_core.sources.bodies.logos.palette import read_palette
+        from cloak_core.studies.trained_run import read_run
         from cloak_core.zoo.entry import run_path
 
         if self.palette is not None and self.profile is not None:
@@ -115,8 +115,8 @@ class Calibrate(Command):
     """Profile to write (.npz)."""
 
     def run(self) -> dict:
-        from cloak_core.output.calibration.chart import patch_colors, write_chart
-        from cloak_core.output.calibration.fitting import profile_of
+        from cloak_core.products.calibration.chart import patch_colors, write_chart
+        from cloak_core.products.calibration.fitting import profile_of
 
         if bool(self.measured) != (self.out is not None):
             raise InputError("--measured and --out: one needs the other")

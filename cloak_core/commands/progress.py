@@ -15,8 +15,8 @@ from types import TracebackType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from cloak_core.commands.base import err, require_new
+from cloak_core.core.pictures import read_picture
 from cloak_core.files.errors import InputError
-from cloak_core.scene.pictures import read_picture
 
 PLAIN_EVERY = 10.0
 """Seconds between lines where there is no terminal."""
@@ -73,7 +73,7 @@ def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, i
     These are a run's (`attack.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
     `step`, what is done. Both have `time`, the seconds since. InputError: the file is there already.
     """
-    from cloak_core.attack.events import EventLog
+    from cloak_core.core.events import EventLog
 
     log = None
     if events is not None:

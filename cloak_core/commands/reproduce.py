@@ -14,12 +14,12 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.commands.base import err, out, warn
 from cloak_core.commands.options import Computing, Splitting
 from cloak_core.commands.sharing import Sharing, SharingOptions
-from cloak_core.evaluation.settings import Internal
+from cloak_core.core.evaluation.settings import Internal
 from cloak_core.experiments.options import Options, names
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.store import RunStore
+    from cloak_core.studies.store import RunStore
 
 PARTS = 8
 """With --ray, the trainings of each experiment are split into this many parts."""
@@ -54,8 +54,8 @@ class Reproduce(Splitting, Computing, Sharing):
 
     def _measure(self) -> tuple[dict, dict]:
         """Measure; give records by name, and why others were left out."""
-        from cloak_core.evaluation.cycles import NoBlender
         from cloak_core.experiments.runner import run_experiment
+        from cloak_core.studies.cycles import NoBlender
 
         self.sharing.spread(self._parts(), self.compute)
         self.prepare()
@@ -84,8 +84,8 @@ class Reproduce(Splitting, Computing, Sharing):
 
     def work(self) -> None:
         """Make the trainings and evaluations of a part of one experiment that are missing; write nothing of it."""
-        from cloak_core.evaluation.cycles import NoBlender
         from cloak_core.experiments.runner import find, measure_part
+        from cloak_core.studies.cycles import NoBlender
 
         self.prepare()
         with contextlib.suppress(NoBlender):  # whoever gathers the parts says so
@@ -113,7 +113,7 @@ class Reproduce(Splitting, Computing, Sharing):
 
     def _store(self) -> RunStore:
         from cloak_core.detectors.loading import load_detector
-        from cloak_core.evaluation.store import RunStore
+        from cloak_core.studies.store import RunStore
 
         specs = self.detector or ("builtin",)
         split = self.split({spec: load_detector(spec, device=self.compute.device) for spec in specs})

@@ -87,8 +87,8 @@ class Import(Writes):
     """Take the UV map from this file (.obj of the same mesh, or .npz with vt and ft)."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.meshes.importing import import_bodies
-        from cloak_core.scene.meshes.subdivision import subdivide
+        from cloak_core.sources.bodies.meshes.importing import import_bodies
+        from cloak_core.sources.bodies.meshes.subdivision import subdivide
 
         bodies = import_bodies(self.files, self.out.name, scale=self.scale, frames=self.frames)
         return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
@@ -116,8 +116,8 @@ class ImportSmpl(Writes):
     """SMPL's UV map: .obj with texture coordinates, or .npz with vt and ft (default: the model file's own, if any)."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.meshes.subdivision import subdivide
-        from cloak_core.scene.people.smpl import import_smpl
+        from cloak_core.sources.bodies.meshes.subdivision import subdivide
+        from cloak_core.sources.bodies.people.smpl import import_smpl
 
         bodies = import_smpl(self.model, self.poses, self.out.name, every=self.every, limit=self.limit)
         return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
@@ -143,8 +143,8 @@ class ImportAnny(Writes):
     """Levels of midpoint subdivision."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.meshes.subdivision import subdivide
-        from cloak_core.scene.people.anny import anny_bodies
+        from cloak_core.sources.bodies.meshes.subdivision import subdivide
+        from cloak_core.sources.bodies.people.anny import anny_bodies
 
         bodies = anny_bodies(self.count, self.seed, self.poses, self.out.name)
         return subdivide(bodies, self.subdivide)[0]
@@ -162,15 +162,15 @@ class Sample(Writes):
     """Those in motion, in loose shirts and trousers (the scene sample-clothed)."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.people.clothed import clothed_bodies
-        from cloak_core.scene.people.samples import sample_bodies
+        from cloak_core.sources.bodies.people.clothed import clothed_bodies
+        from cloak_core.sources.bodies.people.samples import sample_bodies
 
         return clothed_bodies(self.split) if self.clothed else sample_bodies(self.split)
 
 
 def dress(bodies: Bodies, uv: Path | None, textures: tuple[Path, ...]) -> Bodies:
     """Give the bodies the UV map of a file, if one is given, and the textures, if there are any."""
-    from cloak_core.scene.meshes.textures import dress_in_textures, read_textures, with_uv_of
+    from cloak_core.sources.bodies.meshes.textures import dress_in_textures, read_textures, with_uv_of
 
     if uv is not None:
         bodies = with_uv_of(bodies, uv)
@@ -191,8 +191,8 @@ class Info(Command):
     def run(self) -> dict:
         from dataclasses import asdict
 
-        from cloak_core.scene.cameras import Camera
-        from cloak_core.scene.logos.resolution import resolution
+        from cloak_core.core.cameras import Camera
+        from cloak_core.sources.bodies.logos.resolution import resolution
 
         bodies = load_scene(self.scene)
         return describe(bodies) | {"resolution": asdict(resolution(bodies, Camera(distance=self.distance)))}

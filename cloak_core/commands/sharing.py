@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.commands.base import Command, err
+from cloak_core.core.settings.components import ComputeSettings
 from cloak_core.files.errors import InputError, Stopped
 
 if TYPE_CHECKING:

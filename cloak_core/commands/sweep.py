@@ -43,7 +43,7 @@ class Sweep(Sharing):
     """Every random draw derives from it (default: what the grid says, else 0)."""
 
     def run(self) -> dict:
-        from cloak_core.attack import sweeps
+        from cloak_core.core import sweeps
 
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("sweep: torchrun shares out one run; many runs are shared out by --ray")

@@ -10,8 +10,11 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.attack.settings import COMPONENTS, PRESETS, Preset, TrainSettings, components_from_record, merge
-from cloak_core.attack.settings.components import (
+from cloak_core.commands.base import RANK, Stopped, out, warn
+from cloak_core.commands.options import Detecting
+from cloak_core.commands.progress import TensorBoardEvents, TrainingProgress
+from cloak_core.core.settings import COMPONENTS, PRESETS, Preset, TrainSettings, components_from_record, merge
+from cloak_core.core.settings.components import (
     AugmentationSettings,
     ComputeSettings,
     LossSettings,
@@ -22,10 +25,7 @@ from cloak_core.attack.settings.components import (
     SurrogateSettings,
     ViewSettings,
 )
-from cloak_core.attack.settings.people import PeopleSettings
-from cloak_core.commands.base import RANK, Stopped, out, warn
-from cloak_core.commands.options import Detecting
-from cloak_core.commands.progress import TensorBoardEvents, TrainingProgress
+from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json, read_toml
 
@@ -118,7 +118,7 @@ class Train(Detecting):
 
     def run(self) -> dict:
         from cloak_core.library import train
-        from cloak_core.scene.photographs.people import load_people
+        from cloak_core.sources.photographs.people import load_people
 
         settings = self.settings
         self.prepare()

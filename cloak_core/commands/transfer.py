@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 from tyro.conf import UseAppendAction
 
-from cloak_core.attack.settings.components import Hide
 from cloak_core.commands.base import Stopped, err, out, share
 from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.sharing import Sharing, SharingOptions
+from cloak_core.core.settings.components import Hide
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.transfer import Matrix
+    from cloak_core.studies.transfer import Matrix
 
 
 @dataclass(kw_only=True)
@@ -79,7 +79,7 @@ class Transfer(Splitting, Detecting, Sharing):
     """Write table and heat map again from the cells in --out; train and judge nothing."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.transfer import ablation_names, gather
+        from cloak_core.studies.transfer import ablation_names, gather
 
         asked, stopped = ablation_names(self.rungs), ""
         if not self.redraw:
@@ -100,7 +100,7 @@ class Transfer(Splitting, Detecting, Sharing):
 
     def _parts(self, asked: tuple[str, ...]) -> list[tuple[str, Transfer]]:
         """Split the command by rung and by the judges that share its trainings, each with a name."""
-        from cloak_core.evaluation.report.words import short_name
+        from cloak_core.studies.report.words import short_name
 
         if self.sharing.ray is None:
             return []
@@ -113,9 +113,9 @@ class Transfer(Splitting, Detecting, Sharing):
         ]
 
     def _matrix(self) -> Matrix:
-        from cloak_core.evaluation.settings import StoreOptions
-        from cloak_core.evaluation.store import RunStore
-        from cloak_core.evaluation.transfer import CIRCLE, FRONT, PHOTOGRAPHS, Matrix, families
+        from cloak_core.core.evaluation.settings import StoreOptions
+        from cloak_core.studies.store import RunStore
+        from cloak_core.studies.transfer import CIRCLE, FRONT, PHOTOGRAPHS, Matrix, families
 
         started = time.monotonic()
         if self.circle and self.people:
@@ -156,7 +156,7 @@ class Transfer(Splitting, Detecting, Sharing):
         )
 
     def _faces(self, bodies: object) -> object:
-        from cloak_core.scene.logos.logo import chest_thighs, load_logo, shirt_trousers
+        from cloak_core.core.logo import chest_thighs, load_logo, shirt_trousers
 
         known = {"shirt_trousers": shirt_trousers, "chest_thighs": chest_thighs}
         if self.logo in known:
@@ -166,8 +166,8 @@ class Transfer(Splitting, Detecting, Sharing):
         return load_logo(bodies, region=self.logo).face_ids
 
     def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
-        from cloak_core.evaluation.report.charts import group
-        from cloak_core.evaluation.transfer import show, summary
+        from cloak_core.studies.report.charts import group
+        from cloak_core.studies.transfer import show, summary
 
         command = shlex.join(["cloak", *sys.argv[1:]])
         files = show(cells, self.out, self.out.name, command)
@@ -190,8 +190,8 @@ class Transfer(Splitting, Detecting, Sharing):
 
 
 def _table(ablation: str, told: dict) -> Table:
-    from cloak_core.evaluation.report.plots import MARKS
-    from cloak_core.evaluation.report.words import short_name
+    from cloak_core.studies.report.plots import MARKS
+    from cloak_core.studies.report.words import short_name
 
     caption = f"{MARKS['stranger'].strip()} no sibling among its surrogates"
     table = Table(title=f"{ablation}: success, judged by a detector that training left out", caption=caption)

@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.commands.base import out, require_new, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
-from cloak_core.evaluation.settings import WearSettings
+from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.files.errors import InputError
 
 
@@ -86,7 +86,7 @@ def expanded(color: str) -> list[str]:
 
 def show_worn(result: dict, threshold: float | int) -> None:
     """Show a table for each detector: who is not found in what."""
-    from cloak_core.evaluation.report.words import most_named
+    from cloak_core.studies.report.words import most_named
 
     for spec, told in result["detectors"].items():
         point = result["operating_points"][spec]

@@ -34,7 +34,7 @@ class List(Command):
         return {"zoo": [{key: record[key] for key in kept} | rates(record) for record in records]}
 
     def show(self, result: dict) -> None:
-        from cloak_core.evaluation.report.words import percent, short_name
+        from cloak_core.studies.report.words import percent, short_name
 
         table = Table(title="zoo: mean success over the detectors each was evaluated on (cloak zoo show NAME)")
         for column in ("name", "logo", "trained on", "success", "on people", "licence"):
@@ -63,7 +63,7 @@ class Show(Command):
         return entry(self.name).record
 
     def show(self, result: dict) -> None:
-        from cloak_core.evaluation.report.words import interval, percent, short_name
+        from cloak_core.studies.report.words import interval, percent, short_name
 
         out.print(f"{result['name']}: {result['about']}")
         out.print(f"{result['logo']}, {result['faces']} faces; {result['licence']}; seed {result['seed']}")
@@ -105,7 +105,7 @@ class Reproduce(Computing):
     """Of every entry's images only so many: quicker, and less sure."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.zoo_reproduction import Files, evaluate_again
+        from cloak_core.studies.zoo_reproduction import Files, evaluate_again
         from cloak_core.zoo.entry import entry, shelved
 
         self.prepare()
@@ -132,7 +132,7 @@ class Reproduce(Computing):
         ]
 
     def show(self, result: dict) -> None:
-        from cloak_core.evaluation.report.words import interval, percent, short_name
+        from cloak_core.studies.report.words import interval, percent, short_name
 
         table = Table(title="success as recorded, with its interval, and again")
         for column in ("name", "judged by", "at 0.6", "again", "95 %", "at its own", "again", "images"):
@@ -183,7 +183,7 @@ class Export(Command):
         return told
 
     def _write_glb(self, found: Entry) -> None:
-        from cloak_core.output.printing import write_worn
+        from cloak_core.products.printing import write_worn
 
         require_new(self.out)
         if not 10 <= self.dpi <= 600:

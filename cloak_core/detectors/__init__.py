@@ -1,6 +1,1 @@
-"""Person detectors behind one protocol."""
-
-THRESHOLD = 0.6
-"""A person is detected when a box's score exceeds this (the paper's value)."""
-IOU = 0.5
-"""A box is on a body when it overlaps the body's true box at least this much."""
+"""Families of person detectors, their verification, and defences before them."""

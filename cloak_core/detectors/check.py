@@ -11,11 +11,11 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageOps
 from torch import Tensor
 
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.detector.scoring import THRESHOLD, box_iou, max_person_score, person_boxes, suppressed
+from cloak_core.core.pictures import open_picture, save_picture
 from cloak_core.detectors.pixels import USUAL, PixelFormat
-from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import THRESHOLD, box_iou, max_person_score, person_boxes, suppressed
 from cloak_core.files.errors import InputError
-from cloak_core.scene.pictures import open_picture, save_picture
 
 if TYPE_CHECKING:
     from cloak_core.detectors.onnx_family.detector import OnnxDetector

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from cloak_core.detectors.outcomes import best_other
+from cloak_core.core.detector.outcomes import best_other
+from cloak_core.core.detector.protocol import Detections
 from cloak_core.detectors.pixels import Placement
-from cloak_core.detectors.protocol import Detections
 
 
 class Decoded(NamedTuple):

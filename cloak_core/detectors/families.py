@@ -16,7 +16,7 @@ from cloak_core.detectors.specs import PERSON, Request
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.detectors.protocol import Detector
+    from cloak_core.core.detector.protocol import Detector
 
 NO_LAYOUT = {
     "layout": "--layout is for onnx:FILE",

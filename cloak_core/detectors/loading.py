@@ -6,9 +6,9 @@ from typing import Literal
 
 import torch
 
+from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.defended.table import list_defences, read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
-from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.specs import Request, parse_spec, with_person_class
 from cloak_core.files.errors import InputError, first_line
 

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.foreign_code import data_beside, excused, watched
 from cloak_core.detectors.pixels import Placement, fit
-from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import source_hash

@@ -13,12 +13,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
+from cloak_core.core.detector.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.decoding import Decoded, corners, in_pixels
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import IMAGENET, Placement
-from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record

@@ -9,11 +9,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from matplotlib.figure import Figure
 
-from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.report.charts import Lines, Rows, column, detector_names, group, select
-from cloak_core.evaluation.report.plots import heat_map
-from cloak_core.evaluation.report.style import CYCLE, SERIES
-from cloak_core.evaluation.statistics import THRESHOLDS
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.statistics import THRESHOLDS
+from cloak_core.studies.report.charts import Lines, Rows, column, detector_names, group, select
+from cloak_core.studies.report.plots import heat_map
+from cloak_core.studies.report.style import CYCLE, SERIES
 
 
 @runtime_checkable

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float32
 from PIL import Image
 
-from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows
-from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.store import RunStore, Trained
+from cloak_core.core.evaluation.results import Results
 from cloak_core.experiments.charts import Chart, Matrix, Thresholds
 from cloak_core.experiments.logos import FaceIds
+from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows
+from cloak_core.studies.store import RunStore, Trained
 
 __all__ = ["MULTI", "SINGLE", "Bars", "Cell", "Cells", "Experiment", "Lines", "Matrix", "Numbers", "Rings", "RunStore"]
 __all__ += ["Thresholds", "Trainings", "test_angles"]

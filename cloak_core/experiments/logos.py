@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Int64
 from PIL import Image, ImageDraw
 
+from cloak_core.core.geometry import face_areas, face_centres
+from cloak_core.core.logo import area_share, chest_thighs
+from cloak_core.core.pictures import save_picture
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.scene.geometry import face_areas, face_centres
-from cloak_core.scene.logos.logo import area_share, chest_thighs
-from cloak_core.scene.logos.stamping import project_mask, project_text, sized_stamp
-from cloak_core.scene.pictures import save_picture
+from cloak_core.sources.bodies.logos.stamping import project_mask, project_text, sized_stamp
 
 FaceIds = Int64[np.ndarray, "_"]
 PAPER_SHARES = {"letter G": 2426 / 55152, "smiley": 2427 / 55152, "chest + thighs": 4691 / 55152}

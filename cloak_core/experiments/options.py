@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tyro.conf import UseAppendAction
 
-from cloak_core.evaluation.settings import StoreOptions
+from cloak_core.core.evaluation.settings import StoreOptions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from PIL import Image
 
-from cloak_core.evaluation.controls import LOGO
-from cloak_core.evaluation.report.page import data_uri, write_page
+from cloak_core.core.evaluation.controls import LOGO
+from cloak_core.core.pictures import open_picture, read_picture, save_picture
 from cloak_core.experiments.runner import experiments, finished
 from cloak_core.experiments.tables import readable
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
-from cloak_core.scene.pictures import open_picture, read_picture, save_picture
+from cloak_core.studies.report.page import data_uri, write_page
 
 SHOWN, FOLDED = 40, 24
 """Rows of a table on the page, all of them being in numbers.csv; longer ones than the second are folded."""

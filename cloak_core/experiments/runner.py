@@ -11,13 +11,12 @@ from pathlib import Path
 import pandas as pd
 
 from cloak_core import __version__
-from cloak_core.attack.run_config import environment
-from cloak_core.evaluation import statistics
-from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.report.charts import Rows
-from cloak_core.evaluation.report.style import save_figure, style
-from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.store import RunStore, Trained, training_times
+from cloak_core.core.evaluation import statistics
+from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation.results import Results
+from cloak_core.core.logo import area_share, chest_thighs
+from cloak_core.core.pictures import save_picture
+from cloak_core.core.run_config import environment
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.charts import Thresholds
 from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, test_angles
@@ -25,8 +24,9 @@ from cloak_core.experiments.options import names
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
-from cloak_core.scene.logos.logo import area_share, chest_thighs
-from cloak_core.scene.pictures import save_picture
+from cloak_core.studies.report.charts import Rows
+from cloak_core.studies.report.style import save_figure, style
+from cloak_core.studies.store import RunStore, Trained, training_times
 
 FORMAT = "cloak experiment 1"
 """Of numbers.json."""

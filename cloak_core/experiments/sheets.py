@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from cloak_core.detectors.protocol import Detector
-from cloak_core.evaluation.controls import LOGO
-from cloak_core.evaluation.renderer import EvaluationRenderer, render_images
-from cloak_core.evaluation.report.pictures import reported, to_pil
-from cloak_core.evaluation.report.style import INK, style
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluation.controls import LOGO
+from cloak_core.core.evaluation.renderer import EvaluationRenderer, render_images
+from cloak_core.studies.report.pictures import reported, to_pil
+from cloak_core.studies.report.style import INK, style
 
 BOX = "#e0341c"
 INCHES, LINE, DPI = 1.6, 0.2, 150

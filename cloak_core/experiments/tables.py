@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cloak_core.evaluation.report.charts import SPECS, Rows, detector_names
-from cloak_core.evaluation.report.words import interval, percent
+from cloak_core.studies.report.charts import SPECS, Rows, detector_names
+from cloak_core.studies.report.words import interval, percent
 
 HEADS = {
     "low": "95 % interval",

@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from cloak_core.core.cloth import CLOTH_FILE
+from cloak_core.core.pictures import read_picture, save_picture
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.caching import cache_folder
@@ -25,8 +27,6 @@ from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import parse_json, read_json, read_npz
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import new_folder, remove_leftovers, write_json, write_npz
-from cloak_core.scene.logos.cloth import CLOTH_FILE
-from cloak_core.scene.pictures import read_picture, save_picture
 
 FORMAT = "cloak zoo 1"
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")

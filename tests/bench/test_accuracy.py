@@ -13,10 +13,10 @@ from cloak_core.bench.accuracy_report import COLUMNS, pareto, write_report
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.peers import PEERS
 from cloak_core.bench.reference import EXACT, reference
+from cloak_core.core.cameras import Camera
+from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.files.errors import InputError
-from cloak_core.render.settings import Light, RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_unknown_scene_is_named() -> None:
 
 def test_nothing_is_compared_in_pixels_that_the_reference_gave_up(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = accuracy.Scene(sphere(1500, 0.5), Camera(width=48, height=48, distance=2.5))
-    monkeypatch.setattr("cloak_core.render.torch.hidden_parts.MOST_PIECES", 12)
+    monkeypatch.setattr("cloak_core.core.visibility.torch.hidden_parts.MOST_PIECES", 12)
     exact = reference(scene.bodies, scene.camera, Light())
     shown, left_out = int((exact.matrix.coverage > 0).sum()), len(exact.crowded)
     assert shown and left_out and exact.how == f"{EXACT}, without {left_out} crowded pixels"

@@ -4,8 +4,8 @@ import pytest
 
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.views import run_bench_views
-from cloak_core.scene.cameras import Camera
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.core.cameras import Camera
+from cloak_core.sources.bodies.people.samples import sample_bodies
 
 
 @pytest.mark.slow

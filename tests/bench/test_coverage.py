@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cloak_core.bench.intervals import ASKED, Design, coverage, designs, least_width, simulate
-from cloak_core.evaluation.intervals import clustered_rate
+from cloak_core.core.evaluation.intervals import clustered_rate
 
 
 @pytest.mark.slow

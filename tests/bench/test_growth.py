@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from cloak_core.bench import growth
+from cloak_core.core.geometry import outward_parts
 from cloak_core.files.errors import InputError
-from cloak_core.scene.geometry import outward_parts
-from tests.scene.solids import is_closed
+from tests.sources.bodies.solids import is_closed
 
 
 def test_exponents_are_slopes_of_the_last_three_points() -> None:

@@ -7,9 +7,9 @@ import pytest
 
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.peers import PEERS, PeerViewCache, available, usable
-from cloak_core.render.settings import Light, RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.core.cameras import Camera
+from cloak_core.core.visibility.settings import Light, RenderSettings
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 CAMERAS = {
     "whole": Camera(azimuth=20.0, distance=2.4, width=50, height=40),

@@ -6,9 +6,9 @@ import torch
 
 from cloak_core.bench import hostile_cases, stability, stability_checks
 from cloak_core.bench.oracle import screen_of
-from cloak_core.render.rasterizer import area_fragments
-from cloak_core.render.screen import GRID
-from cloak_core.render.types import Window
+from cloak_core.core.view import Window
+from cloak_core.core.visibility.rasterizer import area_fragments
+from cloak_core.core.visibility.screen import GRID
 
 
 @pytest.mark.long
@@ -74,7 +74,7 @@ def test_a_row_of_pixels_takes_bounded_time() -> None:
     assert wrong == 0 and 100 < int(remark.split()[2]) < 832
 
 
-@pytest.mark.filterwarnings("ignore::cloak_core.render.types.CrowdedPixels")
+@pytest.mark.filterwarnings("ignore::cloak_core.core.view.CrowdedPixels")
 def test_what_is_sampled_does_not_depend_on_how_rows_are_shared() -> None:
     x, y, depth = crossing(np.random.default_rng(0), 1200)
     corners = (np.rint(t * GRID).astype(np.int64).ravel() for t in (x, y))

@@ -3,7 +3,7 @@ import torch
 
 from cloak_core.bench.step import run_bench_step, step_table
 from cloak_core.files.errors import InputError
-from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
+from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 
 def measure(**changes):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from cloak_core.commands.demo import follow, train_in_blender
-from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.scene.blender.outside import ROOT, find_bpy
+from cloak_core.products.run_report import make_report
+from cloak_core.sources.bodies.blender.outside import ROOT, find_bpy
 
 RED = ROOT / "tests" / "blender" / "inside" / "red_detector.py"
 

@@ -6,17 +6,17 @@ import json
 import pytest
 import torch
 
-from cloak_core.attack.settings.components import ComputeSettings
-from cloak_core.attack.training import train
 from cloak_core.commands.demo import Demo
 from cloak_core.commands.evaluate import Evaluate
 from cloak_core.commands.options import prepare_process
 from cloak_core.commands.train import Train
-from cloak_core.evaluation.trained_run import kept_back
+from cloak_core.core.settings.components import ComputeSettings
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.scene.people.samples import sample_bodies
-from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.studies.trained_run import kept_back
+from cloak_core.studies.trainings.training import train
+from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 
 @pytest.fixture
@@ -52,8 +52,8 @@ def test_training_leaves_the_process_as_it_was(tmp_path, threads, monkeypatch):
 
 @pytest.mark.parametrize("command", ["Train", "Evaluate", "Demo", "Check", "Heatmap", "Reproduce"])
 def test_commands_prepare_their_process_before_anything_else(command, tmp_path, monkeypatch):
-    from cloak_core.attack.settings import make_settings
     from cloak_core.commands import detectors, logo, options, reproduce
+    from cloak_core.core.settings import make_settings
 
     wanted = ComputeSettings(threads=3)
     made = {
@@ -92,8 +92,8 @@ def test_what_was_kept_back_is_known_either_way():
 def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp_path, monkeypatch, capsys):
     """As a demo through Blender leaves it."""
     from cloak_core import cli
+    from cloak_core.core.logo import select_region
     from cloak_core.exchange.face_lists import write_face_list
-    from cloak_core.scene.logos.logo import select_region
 
     bodies = sample_bodies("train")
     write_scene(tmp_path / "scene", bodies.select_poses([0]))
@@ -111,6 +111,6 @@ def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp
     def load_scene(spec):
         raise Opened(spec)
 
-    monkeypatch.setattr("cloak_core.evaluation.cloaked.load_scene", load_scene)
+    monkeypatch.setattr("cloak_core.studies.cloaked.load_scene", load_scene)
     with pytest.raises(Opened, match="sample:unseen"):
         Evaluate(run_folder=run).run()

@@ -2,8 +2,8 @@
 
 import pytest
 
-from cloak_core.attack.events import read_events
 from cloak_core.commands.progress import counted
+from cloak_core.core.events import read_events
 from cloak_core.files.errors import InputError
 
 

@@ -8,15 +8,15 @@ from cloak_core import cli
 from cloak_core.commands import sharing
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.reproduce import PARTS, Reproduce
-from cloak_core.evaluation import store
 from cloak_core.experiments.options import Options
 from cloak_core.files.locks import lock
 from cloak_core.jobs.job import done
+from cloak_core.studies import store
 from tests.schemas import validate
 
 DETECTORS = """
 import torch
-from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.core.detector.protocol import Detections, Detector
 
 class Glow(Detector):
     def __init__(self, channel):

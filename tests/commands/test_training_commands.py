@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from cloak_core import cli
+from cloak_core.core.logo import select_region
 from cloak_core.exchange.face_lists import write_face_list
-from cloak_core.scene.logos.logo import select_region
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
 
 QUICK = {"steps": 3, "batch": 2, "size": 64, "translation": 5, "samples": 1, "angles": "0", "threads": 1}
 

@@ -9,18 +9,18 @@ import trimesh
 from PIL import Image
 
 from cloak_core import library
-from cloak_core.attack.run_folder import RunFolder, read_start
 from cloak_core.cli import main
-from cloak_core.evaluation.cloaked import colors_of
+from cloak_core.core.logo import load_logo, make_logo
+from cloak_core.core.run_folder import RunFolder, read_start
+from cloak_core.core.visibility.texture import look_up
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
-from cloak_core.render.texture import look_up
-from cloak_core.scene.logos.logo import load_logo, make_logo
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.studies.cloaked import colors_of
 from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, run_path, shelved, write_entry
 
 

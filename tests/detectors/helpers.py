@@ -5,10 +5,10 @@ from pathlib import Path
 
 import torch
 
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.darknet.weights import write_darknet
-from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import max_person_score
 
 TINY_CFG = """\
 [net]

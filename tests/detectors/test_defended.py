@@ -8,17 +8,17 @@ import torch
 import torch.nn.functional as F
 from PIL import Image
 
+from cloak_core.core.detector.protocol import Detections, Detector, detector_record, state_hash
+from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.defended.detector import DefendedDetector, defend
 from cloak_core.detectors.defended.masking import EntropyMask, SegmenterMask, local_entropy, surroundings
 from cloak_core.detectors.defended.squeezing import Bits, Blur, Jpeg, Median, ResizePad
 from cloak_core.detectors.defended.table import DEFENCES, list_defences
 from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import Detections, Detector, detector_record, state_hash
-from cloak_core.detectors.scoring import max_person_score
-from cloak_core.evaluation.report.words import short_name
-from cloak_core.evaluation.trained_run import trained_against
 from cloak_core.files.errors import InputError
+from cloak_core.studies.report.words import short_name
+from cloak_core.studies.trained_run import trained_against
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 
 HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import max_person_score
 from tests.detectors.helpers import images, write_tiny
 
 

@@ -10,15 +10,15 @@ import pytest
 import torch
 
 from cloak_core import cli
+from cloak_core.core.detector.outcomes import OnBody, on_body, share_within
+from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.defended.masks import EXPLAINED, spans
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.outcomes import OnBody, on_body, share_within
-from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation.clean import certified_recall
 from cloak_core.files.errors import InputError
+from cloak_core.studies.clean import certified_recall
 from tests.detectors.helpers import write_tiny
-from tests.scene.photographs.made_people import write_people
+from tests.sources.photographs.made_people import write_people
 
 SIZE, WINDOW, PATCH = 20, 4, 3
 BODY = (4.0, 4.0, 16.0, 16.0)

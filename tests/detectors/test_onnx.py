@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.core.detector.protocol import detector_record, state_hash
 from cloak_core.detectors.families import FAMILIES, list_families
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.onnx_family import parity
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
 from cloak_core.detectors.onnx_family.networks import Session
-from cloak_core.detectors.protocol import detector_record, state_hash
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, others_are_the_rest
 from tests.detectors.test_gradients import lowers_score

@@ -8,8 +8,8 @@ import torch
 from PIL import Image
 
 from cloak_core import cli
+from cloak_core.core.detector.protocol import state_hash
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import TINY_CFG, images, write_tiny

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from cloak_core.detectors.outcomes import (
+from cloak_core.core.detector.outcomes import (
     as_anything,
     best_other,
     class_name,
@@ -12,7 +12,7 @@ from cloak_core.detectors.outcomes import (
     share_within,
     share_within_mask,
 )
-from cloak_core.detectors.protocol import Detections, join_detections
+from cloak_core.core.detector.protocol import Detections, join_detections
 
 BODY = torch.tensor([[10.0, 20.0, 30.0, 80.0]])
 SMALL, OUTSIDE, HALF_OUT = [12.0, 30.0, 18.0, 50.0], [40.0, 20.0, 60.0, 80.0], [27.0, 30.0, 34.0, 50.0]

@@ -3,9 +3,9 @@
 import torch
 from torch import nn
 
+from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.check import plausibility, try_pixels
 from cloak_core.detectors.pixels import PixelFormat
-from cloak_core.detectors.protocol import Detections, Detector
 
 BOXES = torch.tensor([[10.0, 10, 30, 50, 0.9], [60, 20, 80, 40, 0.5]])
 

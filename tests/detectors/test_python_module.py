@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from cloak_core.core.detector.protocol import detector_record, state_hash
 from cloak_core.detectors.foreign_code import culprit
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import detector_record, state_hash
 from cloak_core.files.errors import InputError
 
 SOUND = """
@@ -40,7 +40,7 @@ def detector(folder: Path, old: str = "", new: str = ""):
 def test_it_may_tell_what_else_it_sees(tmp_path: Path) -> None:
     told = "Detections(boxes, scores, other=1 - scores, other_class=(0 * scores).long())"
     lines = SOUND.replace("return boxes, scores", f"return {told}").replace(
-        "import torch\n", "import torch\nfrom cloak_core.detectors.protocol import Detections\n", 1
+        "import torch\n", "import torch\nfrom cloak_core.core.detector.protocol import Detections\n", 1
     )
     (tmp_path / "mine.py").write_text(lines.replace("__init__()\n", "__init__()\n        self.class_names = ['dog']\n"))
     told = load_detector(f"python:{tmp_path / 'mine.py'}:load")

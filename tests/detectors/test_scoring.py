@@ -8,8 +8,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cloak_core.detectors.protocol import Detections
-from cloak_core.detectors.scoring import (
+from cloak_core.core.detector.protocol import Detections
+from cloak_core.core.detector.scoring import (
     box_iou,
     is_detected,
     max_objectness,
@@ -96,5 +96,5 @@ def test_suppression_is_the_plain_loop(seed: int, nms: float) -> None:
 
 @pytest.mark.slow
 def test_scoring_is_imported_without_torchvision() -> None:
-    code = "import sys, cloak_core.detectors.scoring; sys.exit('torchvision' in sys.modules)"
+    code = "import sys, cloak_core.core.detector.scoring; sys.exit('torchvision' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=250).returncode == 0

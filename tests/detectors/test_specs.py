@@ -5,12 +5,12 @@ import pytest
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.specs import parse_spec
-from cloak_core.evaluation.report.words import short_name
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import split_spec
-from cloak_core.scene.opening import load_scene
-from cloak_core.scene.people import anny
-from tests.attack.fakes import box_bodies
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.bodies.people import anny
+from cloak_core.studies.report.words import short_name
+from tests.core.fakes import box_bodies
 
 
 @pytest.mark.parametrize(

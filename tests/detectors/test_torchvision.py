@@ -10,9 +10,9 @@ from torchvision.models.detection.generalized_rcnn import GeneralizedRCNN
 from torchvision.models.detection.ssd import SSD
 from torchvision.ops import FrozenBatchNorm2d
 
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.detector.scoring import max_person_score, person_boxes
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.detectors.torchvision_family import dense
 from cloak_core.detectors.torchvision_family.loading import model_names
 from cloak_core.files.errors import InputError

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.core.detector.protocol import state_hash
+from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors import extras
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import state_hash
-from cloak_core.detectors.scoring import max_person_score
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, others_are_the_rest
 from tests.detectors.test_gradients import lowers_score

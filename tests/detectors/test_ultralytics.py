@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import nn
 
+from cloak_core.core.detector.protocol import detector_record, state_hash
+from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.classes import COCO
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import detector_record, state_hash
-from cloak_core.detectors.scoring import max_person_score
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, others_are_the_rest
 from tests.detectors.test_gradients import lowers_score

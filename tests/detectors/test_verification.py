@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.verification import verify
 from cloak_core.detectors.verification.comparing import apart
 from cloak_core.detectors.verification.kit import CHECKS, original_of

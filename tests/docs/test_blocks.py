@@ -13,8 +13,8 @@ from cloak_core.cli import COMMANDS, find, load, main
 from cloak_core.commands import parsing
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.exchange.scenes import write_scene
-from cloak_core.output import print_sheets
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.products import print_sheets
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from tests.docs.blocks import PAGES, REPORTS, ROOT, commands, words
 from tests.schemas import SCHEMAS, validate
 
@@ -39,7 +39,7 @@ NOT_RUN = {
     "measures for minutes": lambda c: c[0] == "bench",
     "samples every pose, distance and background": lambda c: c[:2] == ["detectors", "check"] and "--scene" in c,
     "needs a cluster, and is in tests/jobs": lambda c: "--ray" in c,
-    "renders in Cycles, and is in tests/evaluation": lambda c: "--cycles" in c,
+    "renders in Cycles, and is in tests/studies": lambda c: "--cycles" in c,
     "thousands of questions to a detector": lambda c: "--black-box-queries" in c or "REFINED" in c,
     "colours of the reader's": lambda c: "FILE.npy" in c or "zoo:NAME" in c,
     "needs photographs of a printed chart": lambda c: "--measured" in c or "PRINTED" in " ".join(c) or "AGAIN" in c,
@@ -218,7 +218,7 @@ PRINTED = [
     "judge PHOTOS --detector builtin",
 ]
 ELSEWHERE = {"assess", "harden", "transfer", "calibrate", "look", "wear"}
-"""Too long here; held against their schemas in tests/evaluation, tests/defend, tests/commands and tests/output."""
+"""Too long here; held against their schemas in tests/evaluation, tests/defend, tests/commands and tests/products."""
 NOT_HELD = {"demo", "reproduce", "scene import", "scene import-smpl", "scene import-anny", "zoo add"}
 """Their schemas are read by people alone, like those of what measures (bench ...)."""
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from cloak_core.scene.photographs.people import load_people
-from tests.scene.photographs.made_people import annotation, photograph, standing
+from cloak_core.sources.photographs.people import load_people
+from tests.sources.photographs.made_people import annotation, photograph, standing
 
 pytestmark = pytest.mark.slow
 FILE = Path(__file__).parents[2] / "examples" / "people_file.py"

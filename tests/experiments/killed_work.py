@@ -15,14 +15,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from cloak_core.evaluation.card.assess import Assessment
-from cloak_core.evaluation.card.page import write_card
-from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.transfer import gather
 from cloak_core.experiments.runner import run_experiment
-from tests.evaluation import test_card as cards
-from tests.evaluation import test_transfer_matrix as matrices
-from tests.evaluation.made_split import make_options, make_split
+from cloak_core.studies.card.assess import Assessment
+from cloak_core.studies.card.page import write_card
+from cloak_core.studies.store import RunStore
+from cloak_core.studies.transfer import gather
+from tests.studies import test_card as cards
+from tests.studies import test_transfer_matrix as matrices
+from tests.studies.made_split import make_options, make_split
 
 TIMES = ("seconds", "time", "made", "date", "ms")
 """Words in the names of figures that differ from run to run."""

@@ -10,10 +10,7 @@ import pytest
 from PIL import Image
 
 from cloak_core.cli import main
-from cloak_core.evaluation import store
-from cloak_core.evaluation.data_split import DataSplit
-from cloak_core.evaluation.report.words import short_names
-from cloak_core.evaluation.store import RunStore
+from cloak_core.core.logo import area_share
 from cloak_core.experiments.declared import hardened
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
 from cloak_core.experiments.options import names
@@ -21,8 +18,11 @@ from cloak_core.experiments.publish import make_page, publish
 from cloak_core.experiments.runner import draw_again, experiments, measure, measure_part, run_experiment
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
-from cloak_core.scene.logos.logo import area_share
-from tests.evaluation.made_split import Glow, make_options, make_split
+from cloak_core.studies import store
+from cloak_core.studies.data_split import DataSplit
+from cloak_core.studies.report.words import short_names
+from cloak_core.studies.store import RunStore
+from tests.studies.made_split import Glow, make_options, make_split
 
 PAPER = ("table1", "single-angle", "wide-angle", "transfer", "tv", "distance", "shape", "resolution")
 """In the order in which `all` runs them."""

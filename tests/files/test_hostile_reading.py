@@ -26,19 +26,19 @@ from cloak_core.files.writing import open_to_append, write_bytes, write_npz
 
 
 def read_picture(path: Path) -> None:
-    from cloak_core.scene.pictures import read_picture
+    from cloak_core.core.pictures import read_picture
 
     read_picture(path)
 
 
 def read_mesh(path: Path) -> None:
-    from cloak_core.scene.meshes.importing import read_bodies
+    from cloak_core.sources.bodies.meshes.importing import read_bodies
 
     read_bodies(path)
 
 
 def read_palette(path: Path) -> None:
-    from cloak_core.scene.logos.palette import read_palette
+    from cloak_core.sources.bodies.logos.palette import read_palette
 
     read_palette(path)
 
@@ -77,7 +77,7 @@ def read_names(path: Path) -> None:
 
 
 def read_events(path: Path) -> None:
-    from cloak_core.attack.events import read_events
+    from cloak_core.core.events import read_events
 
     read_events(path)
 

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from cloak_core.files.likeness import picture_look, pose_shape, similar_looks, similar_poses
-from cloak_core.scene.backdrops.procedural import draw_scene
-from cloak_core.scene.people.clothed import clothed_bodies
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.backdrops.procedural import draw_scene
+from cloak_core.sources.bodies.people.clothed import clothed_bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
 
 
 def scene(seed: int, side: int = 160) -> np.ndarray:

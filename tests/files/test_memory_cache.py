@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from cloak_core.files.caching import MemoryCache
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
 
 
 def test_the_least_recently_used_go_first() -> None:

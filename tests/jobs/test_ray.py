@@ -12,9 +12,9 @@ import pytest
 import ray
 from ray.cluster_utils import Cluster
 
-from cloak_core.attack.events import read_events
-from cloak_core.attack.sweeps import Sweep, read_grid
 from cloak_core.commands.options import prepare_process
+from cloak_core.core.events import read_events
+from cloak_core.core.sweeps import Sweep, read_grid
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
@@ -22,7 +22,7 @@ from cloak_core.files.locks import lock
 from cloak_core.jobs.job import Job
 from cloak_core.jobs.ray_cluster import RayCluster
 from cloak_core.jobs.ray_keeper import processes_of
-from cloak_core.scene.opening import load_scene
+from cloak_core.sources.bodies.opening import load_scene
 from tests.jobs.work import refuse
 
 pytestmark = pytest.mark.long

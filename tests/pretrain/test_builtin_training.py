@@ -7,22 +7,22 @@ import pytest
 import torch
 from PIL import Image
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.detector.outcomes import on_body
+from cloak_core.core.detector.scoring import THRESHOLD, max_person_score
+from cloak_core.core.paint import compose, true_boxes
+from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.detectors.builtin import CFG, WEIGHTS
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.detector import read_darknet
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.outcomes import on_body
-from cloak_core.detectors.scoring import THRESHOLD, max_person_score
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
-from cloak_core.render.compositing import compose, true_boxes
-from cloak_core.render.settings import RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.cameras import Camera
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.sources.bodies.view_cache import ViewCache
 from tools.pretrain.builtin_training import train_builtin
 
 SMALL = {"batch": 4, "views": 6, "scenes": 3, "judged": 32}

@@ -2,10 +2,10 @@
 
 import torch
 
+from cloak_core.core.detector.scoring import THRESHOLD
 from cloak_core.detectors.builtin import CFG
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.network import build_network
-from cloak_core.detectors.scoring import THRESHOLD
 from tools.pretrain.calibration import apply_calibration, best_cut, calibrate
 
 

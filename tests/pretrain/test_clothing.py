@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from cloak_core.scene.people.clothed import clothed_bodies
-from cloak_core.scene.people.skeleton import Leg, Pose
+from cloak_core.sources.bodies.people.clothed import clothed_bodies
+from cloak_core.sources.bodies.people.skeleton import Leg, Pose
 from tools.pretrain.bake_clothed import weights_by_bone
 from tools.pretrain.clothing.draping import _closed, outside, part_way, poses_of
 from tools.pretrain.clothing.gaits import CYCLES

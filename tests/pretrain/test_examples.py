@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from tools.pretrain.examples import Example, ExampleMaker, augment
 from tools.pretrain.outfits import Wardrobe
 from tools.pretrain.people import FRAME, render_people

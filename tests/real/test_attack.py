@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from cloak_core.attack.settings import make_settings
-from cloak_core.attack.training import train
+from cloak_core.core.detector.protocol import state_hash
+from cloak_core.core.logo import make_logo, select_region
+from cloak_core.core.settings import make_settings
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import state_hash
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.logos.logo import make_logo, select_region
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.trainings.training import train
 
 
 @pytest.mark.slow

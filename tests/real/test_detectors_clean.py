@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluation.clean import check_scene
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.clean import check_scene
 from tests.real.test_detectors_real import spec_of
 
 

@@ -9,12 +9,12 @@ import pytest
 import torch
 from PIL import Image
 
+from cloak_core.core.detector.protocol import state_hash
+from cloak_core.core.detector.scoring import box_iou, max_person_score, person_boxes
 from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import state_hash
-from cloak_core.detectors.scoring import box_iou, max_person_score, person_boxes
 from tests.detectors.test_gradients import lowers_score
 
 WEIGHTS = {

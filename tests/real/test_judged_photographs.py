@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.core.evaluation.settings import EvaluateSettings, JudgeSettings
+from cloak_core.core.evaluation.trials import draw_trials
+from cloak_core.core.logo import load_logo
+from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluation.cloaked import Cloaked
-from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.photographs.judge import judge
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
-from cloak_core.evaluation.report.pictures import to_pil
-from cloak_core.evaluation.settings import EvaluateSettings, JudgeSettings
-from cloak_core.evaluation.trials import draw_trials
 from cloak_core.exchange.colors import read_colors
-from cloak_core.render.settings import RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.logos.logo import load_logo
-from cloak_core.scene.opening import load_scene
-from cloak_core.scene.videos import save_film
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.bodies.videos import save_film
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.cloaked import Cloaked
+from cloak_core.studies.judging.judge import judge
+from cloak_core.studies.report.pictures import to_pil
 from cloak_core.zoo.entry import run_path
 
 LYING = 6

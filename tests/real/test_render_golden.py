@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.paint import compose
+from cloak_core.core.visibility.packing import unpack_inverse_depth
+from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.render.compositing import compose
-from cloak_core.render.packing import unpack_inverse_depth
-from cloak_core.render.settings import Light, RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 CAMERA = Camera(azimuth=-10.0)
 LIGHTS = {"front": (0.5, 1.5, 2.5), "default": (0.0, 1.0, 0.0)}

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
+from cloak_core.core.detector.outcomes import class_name
+from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.check import read_image
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.outcomes import class_name
-from cloak_core.detectors.scoring import max_person_score
 from cloak_core.detectors.verification import verify
 from cloak_core.detectors.verification.comparing import apart
 

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.defend.students import open_student
+from cloak_core.core.detector.protocol import state_hash
 from cloak_core.detectors.check import check_image, read_image
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import state_hash
+from cloak_core.studies.hardening.students import open_student
 
 # Asked without importing it: what it patches would stay so for the tests that follow.
 if find_spec("ultralytics") is None:

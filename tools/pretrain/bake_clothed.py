@@ -1,9 +1,9 @@
-"""Makes the embedded clothed people (cloak_core/scene/data/clothed.npz) from Anny and Blender's cloth solver.
+"""Makes the embedded clothed people (cloak_core/sources/bodies/data/clothed.npz) from Anny and Blender's cloth solver.
 
 Not needed to use Cloak. It needs `pip install cloak-core[anny]` here and a Blender, or a Python with bpy
 (`make .venv-blender/.installed`, or CLOAK_BLENDER). Run:
 
-    python -m tools.pretrain.bake_clothed --clips CLIPS --out cloak_core/scene/data/clothed.npz
+    python -m tools.pretrain.bake_clothed --clips CLIPS --out cloak_core/sources/bodies/data/clothed.npz
 
 CLIPS keeps each solved clip, so that a run that was stopped goes on. Shapes, motions and seeds are tables in
 `clothing/tables.py`; the solver's result may differ a little between Blender's versions.
@@ -18,9 +18,9 @@ import numpy as np
 
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
-from cloak_core.scene.people.anny import AnnySource
-from cloak_core.scene.people.clothed import skin_of
-from cloak_core.scene.people.samples import load
+from cloak_core.sources.bodies.people.anny import AnnySource
+from cloak_core.sources.bodies.people.clothed import skin_of
+from cloak_core.sources.bodies.people.samples import load
 from tools.pretrain.bake_bodies import quantise
 from tools.pretrain.clothing.checking import hidden_seen
 from tools.pretrain.clothing.draping import Person, draped
@@ -49,7 +49,7 @@ def weights_by_bone(weights: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def bake(path: Path, folder: Path) -> None:
-    """Write the clothed people; see cloak_core/scene/people/clothed.py for the reader."""
+    """Write the clothed people; see cloak_core/sources/bodies/people/clothed.py for the reader."""
     source, samples = AnnySource(), load()[0]
     average, skeleton = source.figure({"age": 0.67})
     garments = cut(average, source.quads, samples.regions, skeleton)

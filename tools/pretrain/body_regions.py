@@ -83,7 +83,7 @@ def hair_line(centre: np.ndarray, height: np.ndarray) -> np.ndarray:
 
 
 def named_regions(vertices: np.ndarray, quads: np.ndarray, part: np.ndarray) -> dict[str, np.ndarray]:
-    """Boolean masks [F] by name; see cloak_core/scene/logos/logo.py for how they combine."""
+    """Boolean masks [F] by name; see cloak_core/core/logo.py for how they combine."""
     centre, normal = polygon_frames(vertices, quads)
     low, high = vertices[:, 1].min(), vertices[:, 1].max()
     height = (centre[:, 1] - low) / (high - low)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cloak_core.scene.people.motions import running, walking, waving
-from cloak_core.scene.people.skeleton import Arm, Leg, Pose
+from cloak_core.sources.bodies.people.motions import running, walking, waving
+from cloak_core.sources.bodies.people.skeleton import Arm, Leg, Pose
 
 PARTS = ("torso", "hips", "arms", "forearms", "hands", "thighs", "shins", "feet", "head", "hair", "eyes", "mouth")
 

@@ -17,14 +17,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.detector.scoring import box_iou
 from cloak_core.detectors.builtin import CFG
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.network import Network, build_network
 from cloak_core.detectors.darknet.weights import read_weights, write_darknet
-from cloak_core.detectors.scoring import box_iou
 from cloak_core.files.errors import InputError
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from tools.pretrain.calibration import Calibration, apply_calibration, calibrate
 from tools.pretrain.examples import Batch, ExampleMaker
 from tools.pretrain.outfits import Wardrobe

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.detector.scoring import THRESHOLD
 from cloak_core.detectors.darknet.layers import Convolution
 from cloak_core.detectors.darknet.network import Network
-from cloak_core.detectors.scoring import THRESHOLD
 
 FALSE_ALARM_WEIGHT = 3.0
 """How many missed people one false alarm is worth."""

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.scene.geometry import face_centres, face_normals
 
 Rng = np.random.Generator
 Colors = Float[np.ndarray, "F 3"]

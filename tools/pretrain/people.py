@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.view import View
+from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.settings import Light, RenderSettings
-from cloak_core.render.types import View
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 FRAME = 640
 """Views are rendered into a frame this wide, so that near people are whole; 416 of it is the field of view of 60."""

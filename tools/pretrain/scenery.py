@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageChops
 
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
 
 PHOTO_SIDE = 832
 SCENE_SIDE = 320

@@ -20,13 +20,13 @@ from jaxtyping import Bool, Float
 from safetensors.torch import save
 from torch import Tensor
 
-from cloak_core.defend.pool import Pool
-from cloak_core.defend.settings import HardenSettings
 from cloak_core.detectors.defended.masking import SIDE, WEIGHTS, PatchSegmenter
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.writing import write_bytes
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.studies.hardening.pool import Pool
+from cloak_core.studies.hardening.settings import HardenSettings
 
 OnEvent = Callable[[dict], None]
 SHOWN = 0.2

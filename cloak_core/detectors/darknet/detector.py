@@ -6,13 +6,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import check_size, read_weights
 from cloak_core.detectors.decoding import Decoded, in_pixels
 from cloak_core.detectors.pixels import fit
-from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record

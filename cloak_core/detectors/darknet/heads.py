@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.protocol import at_least_float32
+from cloak_core.core.detector.protocol import at_least_float32
 
 MAX_LOG_SIZE = 20.0  # keeps a box finite where random weights ask for e^100
 

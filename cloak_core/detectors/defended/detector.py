@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.defended.table import DEFENCES, read_head
-from cloak_core.detectors.protocol import Detections, Detector, state_hash
 
 
 class DefendedDetector(Detector):

@@ -8,8 +8,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.filters import blurred, through_jpeg, windowed
-from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.filters import blurred, through_jpeg, windowed
 
 
 def straight_through(images: Float[Tensor, "*shape"], value: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:

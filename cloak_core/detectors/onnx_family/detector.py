@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index
 from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.extras import require
@@ -28,7 +29,6 @@ from cloak_core.detectors.onnx_family.networks import (
 )
 from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, takes_batches
 from cloak_core.detectors.pixels import YOLO_GREY, PixelFormat, fit
-from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError, first_line

@@ -5,8 +5,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torchvision.models.detection.image_list import ImageList
 
+from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.pixels import Placement
-from cloak_core.detectors.protocol import Detector
 
 
 class TorchvisionDetector(Detector):

@@ -9,9 +9,9 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.ssd import SSD
 from torchvision.ops import clip_boxes_to_image
 
-from cloak_core.detectors.outcomes import best_other
+from cloak_core.core.detector.outcomes import best_other
+from cloak_core.core.detector.protocol import Detections, at_least_float32
 from cloak_core.detectors.pixels import Placement
-from cloak_core.detectors.protocol import Detections, at_least_float32
 from cloak_core.detectors.torchvision_family.base import TorchvisionDetector
 
 CANDIDATES = 1000

@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from torchvision import models
 from torchvision.models import detection
 
+from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.checkpoints import load_state, read_state_dict
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.folding import fold_batch_norm
-from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.torchvision_family.dense import DenseDetector
 from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector

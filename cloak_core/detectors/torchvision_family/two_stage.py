@@ -9,8 +9,8 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.rpn import concat_box_prediction_layers
 from torchvision.ops import batched_nms, clip_boxes_to_image, remove_small_boxes
 
-from cloak_core.detectors.outcomes import best_other
-from cloak_core.detectors.protocol import Detections, at_least_float32
+from cloak_core.core.detector.outcomes import best_other
+from cloak_core.core.detector.protocol import Detections, at_least_float32
 from cloak_core.detectors.torchvision_family.base import TorchvisionDetector
 
 MIN_SIDE = 1e-2

@@ -10,13 +10,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.checkpoints import load_state
 from cloak_core.detectors.classes import COCO, person_index
 from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import YOLO_GREY, fit
-from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.ultralytics_family.architecture import (
     QUERIES,

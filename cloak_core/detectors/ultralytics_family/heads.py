@@ -13,8 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.core.detector.protocol import at_least_float32
 from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
-from cloak_core.detectors.protocol import at_least_float32
 
 Maps = list[tuple[Tensor, Tensor]]
 """For each branch and stride, what the network says before any activation: of boxes [B, 4 * bins, h, w], and of classes

@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.scoring import max_person_score
+from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.verification.comparing import AGREES, BATCH, Apart, apart, gradient_error, gradient_of
 
 ROUNDING = 1e-6

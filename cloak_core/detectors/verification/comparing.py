@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from cloak_core.detectors.protocol import Detections
-from cloak_core.scene.backdrops.procedural import draw_scene
+from cloak_core.core.detector.protocol import Detections
+from cloak_core.sources.backdrops.procedural import draw_scene
 
 BATCH = 4
 """Images at a time, where several are asked about at once."""

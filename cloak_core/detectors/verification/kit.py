@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.detector.protocol import Detector, state_hash
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.pixels import fit
-from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.detectors.verification import checks
 from cloak_core.detectors.verification.checks import Finding, Images, Subject
 from cloak_core.detectors.verification.comparing import BATCH, sample_images

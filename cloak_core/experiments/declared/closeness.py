@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from PIL import Image
 
-from cloak_core.detectors import THRESHOLD
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.logo import shirt_trousers
 from cloak_core.experiments.declaration import Cell, Cells, Experiment, Lines, RunStore, Trainings
 from cloak_core.experiments.sheets import Picture, draw_sheet, trial_picture
-from cloak_core.scene.logos.logo import shirt_trousers
 
 FREE = 100.0
 """Mean CIEDE2000 that no colours have from each other: no bound."""

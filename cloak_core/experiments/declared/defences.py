@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
-from cloak_core.attack.black_box import queries_after
+from cloak_core.core.black_box import queries_after
+from cloak_core.core.evaluation.controls import STANDARD
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.defended.table import read_head
-from cloak_core.evaluation.controls import STANDARD
 from cloak_core.experiments.declaration import MULTI, Bars, Cell, Cells, Experiment, RunStore
 from cloak_core.experiments.tables import beats_adaptive
 

@@ -10,21 +10,21 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from cloak_core.attack.black_box import queries_after
-from cloak_core.detectors import THRESHOLD
-from cloak_core.evaluation import statistics
-from cloak_core.evaluation.cloaked import cloth_colors
-from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.negatives import pattern_scores
-from cloak_core.evaluation.report.charts import Lines, Rows, group
-from cloak_core.evaluation.report.words import short_names
-from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.wearing.clothes import PictureClothes, cloth_spec, read_clothes
+from cloak_core.core.black_box import queries_after
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.evaluation import statistics
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.results import Results
+from cloak_core.core.logo import chest_thighs, shirt_trousers
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, test_angles
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
-from cloak_core.scene.logos.logo import chest_thighs, shirt_trousers
+from cloak_core.studies.cloaked import cloth_colors
+from cloak_core.studies.negatives import pattern_scores
+from cloak_core.studies.report.charts import Lines, Rows, group
+from cloak_core.studies.report.words import short_names
+from cloak_core.studies.store import RunStore
+from cloak_core.studies.wearing.clothes import PictureClothes, cloth_spec, read_clothes
 
 LEAST_IMAGES = 300
 """Of each evaluation, so that a difference of two points in clean recall shows."""

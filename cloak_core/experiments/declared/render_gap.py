@@ -6,8 +6,13 @@ import numpy as np
 import torch
 from PIL import Image
 
-from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.cycles import (
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.core.evaluation.statistics import training_row
+from cloak_core.core.logo import chest_thighs
+from cloak_core.experiments.declaration import MULTI, Bars, Experiment, Numbers, RunStore
+from cloak_core.experiments.runner import threshold_rows
+from cloak_core.studies.cycles import (
     LIGHTS,
     SAMPLES,
     CyclesRenderer,
@@ -15,14 +20,9 @@ from cloak_core.evaluation.cycles import (
     render_frames,
     require_blender,
 )
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
-from cloak_core.evaluation.report.pictures import to_pil
-from cloak_core.evaluation.report.words import file_name
-from cloak_core.evaluation.statistics import training_row
-from cloak_core.evaluation.store import CONTROLS
-from cloak_core.experiments.declaration import MULTI, Bars, Experiment, Numbers, RunStore
-from cloak_core.experiments.runner import threshold_rows
-from cloak_core.scene.logos.logo import chest_thighs
+from cloak_core.studies.report.pictures import to_pil
+from cloak_core.studies.report.words import file_name
+from cloak_core.studies.store import CONTROLS
 
 NAMES = {"ours": "our renders", "matching": "Cycles, matching light", "studio": "Cycles, studio", "sky": "Cycles, sky"}
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.logo import chest_thighs
+from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, Lines, RunStore
-from cloak_core.render.settings import RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
-from cloak_core.scene.logos.logo import chest_thighs
-from cloak_core.scene.meshes.subdivision import subdivide
+from cloak_core.sources.bodies.meshes.subdivision import subdivide
+from cloak_core.sources.bodies.view_cache import ViewCache
 
 
 def cells(store: RunStore) -> Cells:

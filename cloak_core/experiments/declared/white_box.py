@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.controls import STANDARD
+from cloak_core.core.evaluation.controls import STANDARD
+from cloak_core.core.logo import chest_thighs, shirt_trousers
 from cloak_core.experiments.declaration import MULTI, Bars, Cell, Cells, Experiment, RunStore
-from cloak_core.scene.logos.logo import chest_thighs, shirt_trousers
 
 IMAGES_PER_VIEW = 4
 """With four unseen bodies at 21 angles: 336 images."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from cloak_core.core.logo import chest_thighs, shirt_trousers
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, Lines, Rings, RunStore
-from cloak_core.scene.logos.logo import chest_thighs, shirt_trousers
 
 CIRCLE = "0:330:30"
 """Training angles all around."""

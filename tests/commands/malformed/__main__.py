@@ -25,7 +25,7 @@ def read_all(root: Path, chosen: list[Case]) -> list[dict]:
             importlib.import_module(name)
     for place in cli.COMMANDS.values():
         importlib.import_module(f"cloak_core.commands.{place.partition(':')[0]}")
-    importlib.import_module("cloak_core.attack.sweeps")
+    importlib.import_module("cloak_core.core.sweeps")
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     limit = int(status["VmSize"].split()[0]) * 1024 + 2 * GIB
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

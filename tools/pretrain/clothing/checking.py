@@ -7,10 +7,10 @@ import time
 import numpy as np
 from jaxtyping import Bool, Integer
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.settings import RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.cameras import Camera
+from cloak_core.sources.bodies.view_cache import ViewCache
 from tools.pretrain.clothing.draping import Person, skinned
 from tools.pretrain.clothing.garments import Garment
 

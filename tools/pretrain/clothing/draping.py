@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from cloak_core.core.cameras import Number
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
-from cloak_core.scene.blender.outside import find_blender
-from cloak_core.scene.cameras import Number
-from cloak_core.scene.people.skeleton import Arm, Leg, Pose, Skeleton, bone_transforms
+from cloak_core.sources.bodies.blender.outside import find_blender
+from cloak_core.sources.bodies.people.skeleton import Arm, Leg, Pose, Skeleton, bone_transforms
 from tools.pretrain.clothing.gaits import CYCLES
 from tools.pretrain.clothing.garments import Garment, neighbours, normals, tailored
 from tools.pretrain.clothing.tables import Clip

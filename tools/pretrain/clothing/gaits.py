@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cloak_core.scene.cameras import Number
-from cloak_core.scene.people.skeleton import Arm, Leg, Pose
+from cloak_core.core.cameras import Number
+from cloak_core.sources.bodies.people.skeleton import Arm, Leg, Pose
 
 Keys = tuple[tuple[Number, ...], ...]
 # Of one leg: share of the cycle, thigh forwards, knee bent, sole's pitch (heel up), in degrees.

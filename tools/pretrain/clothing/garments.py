@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Integer
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import dijkstra
 
-from cloak_core.scene.people.skeleton import Skeleton
+from cloak_core.sources.bodies.people.skeleton import Skeleton
 
 Vertices = Float[np.ndarray, "V 3"]
 
@@ -81,7 +81,7 @@ def _piece(name: str, chosen: Bool[np.ndarray, " N"], quads: np.ndarray, ease: n
 
 def _largest(chosen: Bool[np.ndarray, " N"], quads: np.ndarray) -> Bool[np.ndarray, " N"]:
     """The largest connected part of the chosen polygons: islands are dropped."""
-    from cloak_core.scene.geometry import connected_parts
+    from cloak_core.core.geometry import connected_parts
 
     faces = np.flatnonzero(chosen)
     label = connected_parts(quads[faces], int(quads.max()) + 1)[quads[faces, 0]]

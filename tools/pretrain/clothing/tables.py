@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cloak_core.scene.cameras import Number
+from cloak_core.core.cameras import Number
 from tools.pretrain.body_tables import shape
 
 PEOPLE = {

@@ -1,1 +1,0 @@
-"""Losses, sampling and the training of face colours."""

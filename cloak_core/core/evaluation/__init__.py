@@ -1,0 +1,1 @@
+"""Measure what detectors report of images, and count it."""

@@ -1,0 +1,179 @@
+"""Show every image of an evaluation to every detector, and keep what they say as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from cloak_core.core.detector import IOU
+from cloak_core.core.detector.outcomes import OnBody, class_name
+from cloak_core.core.detector.protocol import Detections, Detector, state_hash
+from cloak_core.core.detector.scoring import box_iou, max_person_score, person_boxes
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.precision import MOST_BOXES, first_hits
+from cloak_core.core.evaluation.renderer import EvaluationRenderer, Indices
+from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, Results, make_results
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.files.errors import InputError
+
+BOX_THRESHOLD = 0.001
+"""Boxes with a lower score are not kept. COCO evaluations commonly use it: a cloak that only makes a detector unsure
+then still leaves it its average precision."""
+OnProgress = Callable[[int, int], None]
+"""Called after every batch with the images done and the images in all."""
+OnImages = Callable[[str, np.ndarray, Tensor, pd.DataFrame], None]
+"""Called with a control, trials, their images, and the boxes found in them (columns as in `Results.boxes`)."""
+
+
+@torch.no_grad()
+def measure(
+    renderer: EvaluationRenderer,
+    detectors: Mapping[str, Detector],
+    controls: Sequence[str],
+    bare: Indices = (),
+    *,
+    batch: int = 16,
+    on_progress: OnProgress | None = None,
+    on_images: OnImages | None = None,
+) -> Results:
+    """Render every trial under every control and record what each detector reports.
+
+    controls: the first is the trained logo. bare: backgrounds looked at with nobody in front. batch: images at once.
+    The boxes of the result have corners.
+    """
+    judges, progress = list(detectors.values()), Progress(len(renderer.trials) * len(controls) + len(bare), on_progress)
+    scores, boxes, true = _judge_trials(renderer, judges, controls, batch, progress, on_images)
+    return make_results(
+        {spec: float(detector.operating_point) for spec, detector in detectors.items()},
+        controls,
+        renderer.trials.assign(**dict(zip(TRUE_BOX, true.T, strict=True))),
+        bare=_judge_bare(renderer, judges, np.asarray(bare, np.int64), batch, progress),
+        boxes=boxes,
+        **scores,
+        body_names=renderer.body_names,
+        background_names=renderer.background_names,
+        bare_background=np.asarray(bare, np.int64),
+    )
+
+
+@contextmanager
+def kept_frozen(detectors: Mapping[str, Detector]) -> Iterator[dict[str, str]]:
+    """Yield the detectors' hashes by spec; afterwards check that nothing has changed them."""
+    hashes = {spec: state_hash(detector) for spec, detector in detectors.items()}
+    yield hashes
+    for spec, detector in detectors.items():
+        detector.verify(hashes[spec])
+
+
+def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float]) -> None:
+    """Refuse an evaluation without a detector or an angle (InputError)."""
+    for option, given in (("--detector", detectors), ("--angles", angles)):
+        if not len(given):
+            raise InputError(f"{option}: none given")
+
+
+def all_controls(settings: EvaluateSettings) -> tuple[str, ...]:
+    """List the trained colours and their controls; own clothing is always among them."""
+    return tuple(dict.fromkeys((LOGO, CLOTHING, *settings.controls)))
+
+
+class Progress:
+    """Count images, and tell how many are done."""
+
+    def __init__(self, total: int, on_progress: OnProgress | None) -> None:
+        self.done, self.total, self.on_progress = 0, total, on_progress
+
+    def advance(self, images: int) -> None:
+        """Count these images as done."""
+        self.done += images
+        if self.on_progress:
+            self.on_progress(self.done, self.total)
+
+
+def batches(indices: np.ndarray, size: int) -> Iterator[np.ndarray]:
+    """Cut `indices` into pieces of `size`."""
+    for start in range(0, len(indices), size):
+        yield indices[start : start + size]
+
+
+def _judge_trials(
+    renderer: EvaluationRenderer,
+    detectors: Sequence[Detector],
+    controls: Sequence[str],
+    size: int,
+    progress: Progress,
+    on_images: OnImages | None,
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Float32[np.ndarray, "N 4"]]:
+    """Judge all trials, `size` images at once: scores [D, C, N] by column of the results, found boxes, true boxes."""
+    count = len(renderer.trials)
+    shape = len(detectors), len(controls), count
+    scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
+    scores["other_name"], true_boxes, found = np.full(shape, "", object), np.zeros((count, 4), np.float32), []
+    for batch in batches(np.arange(count), size):
+        views = renderer.views(batch)
+        true = renderer.boxes(views, batch)
+        true_boxes[batch] = true.cpu().numpy()
+        for c, images in enumerate(renderer.compose(views, batch, controls)):
+            before = len(found)
+            for d, detector in enumerate(detectors):
+                detections = renderer.about_person(detector(images), views, batch)
+                best = renderer.on_person(detections, views, batch)
+                for name, values in image_scores(detector, detections, best).items():
+                    scores[name][d, c, batch] = values
+                found += _boxes(d, c, batch, detections, true.cpu())
+            if on_images:
+                on_images(controls[c], batch, images, pd.DataFrame(_columns(found[before:])))
+            progress.advance(len(batch))
+    return scores, _columns(found), true_boxes
+
+
+def _columns(found: Sequence[tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
+    """Join the boxes of images to the columns of `Results.boxes`."""
+    names = (*BOX_COLUMNS, *CORNERS)
+    columns = zip(*found, strict=True) if found else [[np.zeros(0)] for _ in names]
+    return {name: np.concatenate(parts) for name, parts in zip(names, columns, strict=True)}
+
+
+def image_scores(detector: Detector, detections: Detections, best: OnBody) -> dict[str, np.ndarray]:
+    """Tell what is reported in each of B images, as columns of the results: score, score_on, other, other_name.
+
+    best: what is reported on each person. The last two columns are missing where the detector does not tell of other
+    classes.
+    """
+    columns = {"score": max_person_score(detections).cpu().numpy(), "score_on": best.person.cpu().numpy()}
+    if best.other is not None:
+        other, numbers = best.other.cpu().numpy(), best.other_class.tolist()
+        names = [class_name(detector.class_names, k) if s > 0 else "" for s, k in zip(other, numbers, strict=True)]
+        columns |= {"other": other, "other_name": np.array(names, object)}
+    return columns
+
+
+def _judge_bare(
+    renderer: EvaluationRenderer, detectors: Sequence[Detector], backgrounds: np.ndarray, size: int, progress: Progress
+) -> Float32[np.ndarray, "D M"]:
+    """Find the best scores on backgrounds without a person."""
+    score = [np.zeros((len(detectors), 0), np.float32)]
+    for batch in batches(backgrounds, size):
+        images = renderer.bare(batch)
+        score.append(np.stack([max_person_score(detector(images)).cpu().numpy() for detector in detectors]))
+        progress.advance(len(batch))
+    return np.concatenate(score, axis=1).astype(np.float32)
+
+
+def _boxes(
+    detector: int, control: int, batch: np.ndarray, detections: Detections, true: Float[Tensor, "B 4"]
+) -> Iterator[tuple[np.ndarray, ...]]:
+    """Yield columns of `Results.boxes` for each image of a batch: person boxes after non-maximum suppression."""
+    for image, boxes, truth in zip(batch, person_boxes(detections, BOX_THRESHOLD), true, strict=True):
+        boxes = boxes[:MOST_BOXES]  # best first
+        # In double precision: whether an overlap is 0.55 or just below shall not hang on rounding.
+        iou = box_iou(boxes[:, :4].double(), truth.double()).numpy()
+        hit = first_hits(iou, np.zeros(len(boxes), np.int64), IOU)
+        label = np.broadcast_to(np.array([[detector], [control], [int(image)]]), (3, len(boxes)))
+        yield (*label, boxes[:, 4].numpy(), hit, iou, *boxes[:, :4].numpy().T)

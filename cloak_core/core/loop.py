@@ -1,0 +1,318 @@
+"""The loop of one run: from its last checkpoint, or its start, to its end, and everything about losing nothing."""
+
+import contextlib
+import dataclasses
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.core.batches import Batcher, Prefetcher
+from cloak_core.core.checkpoints import (
+    Checkpoint,
+    load_checkpoint,
+    receive_checkpoint,
+    save_checkpoint,
+    send_checkpoint,
+)
+from cloak_core.core.detector.scoring import max_person_score
+from cloak_core.core.ensemble import level
+from cloak_core.core.events import EventLog, OnEvent, read_events, rewind_events
+from cloak_core.core.held_out import HeldOut
+from cloak_core.core.objective import Objective, Step, StepFigures, gradient_step
+from cloak_core.core.optimizer import ColorOptimizer, learning_rate
+from cloak_core.core.run_folder import RunFolder, save_preview
+from cloak_core.core.settings import TrainSettings
+from cloak_core.core.stopping import StopRequest
+from cloak_core.core.world import LostProcess, World
+from cloak_core.exchange.colors import write_colors
+from cloak_core.files.errors import InputError
+
+LIVE_SECONDS = 2.0
+"""Between writes of colors.npy while a run goes on: Blender shows them on the model."""
+
+
+class TrainingError(InputError):
+    """Training cannot go on: the loss or its gradient is not finite. The last checkpoint stands; exit code 2.
+
+    Colours cannot overflow (they stay in [0, 1]), so it is the detector that returned NaN or infinity.
+    """
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RunResult:
+    """How a run ended."""
+
+    out: Path
+    """The run folder."""
+    step: int
+    """Steps done, earlier parts of a resumed run included."""
+    steps: int
+    """Steps that were asked for."""
+    seconds: float
+    """Training time, earlier parts of a resumed run included."""
+    figures: StepFigures | None
+    """Of the last step, from the event log where this call had nothing left to do; None when even that is lost."""
+    stopped: str
+    """Why it was ended early ("SIGINT", "cancel file", "time budget"); "" when it is complete."""
+    colors: np.ndarray
+    """[L, 3] float32: those in colors.npy. The last ones, or those that did best on what was held out."""
+    colors_step: int
+    """The step they are of."""
+    enough: str = ""
+    """Why it was complete before its last step: nothing better on what was held out."""
+    closeness: tuple[float, float] | None = None
+    """Mean and 95th percentile of CIEDE2000 from the garment that the colours were kept close to."""
+
+    def record(self) -> dict:
+        """Make the record that the command line prints."""
+        figures = dataclasses.asdict(self.figures) if self.figures else {}
+        record = {
+            "out": str(self.out),
+            "step": self.step,
+            "steps": self.steps,
+            "colors_step": self.colors_step,
+            "seconds": round(self.seconds, 2),
+            "distinct_colors": len(np.unique(self.colors, axis=0)),
+        }
+        record |= {"enough": self.enough} if self.enough else {}
+        record |= (
+            {} if self.closeness is None else dict(zip(("de2000_mean", "de2000_p95"), self.closeness, strict=True))
+        )
+        return record | figures | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
+
+
+class TrainingLoop:
+    """One run from its last checkpoint (or its start) to its end."""
+
+    def __init__(
+        self,
+        settings: TrainSettings,
+        run: RunFolder,
+        batcher: Batcher,
+        objective: Objective,
+        optimizer: ColorOptimizer,
+        held_out: HeldOut | None,
+        on_event: OnEvent | None,
+        world: World,
+    ) -> None:
+        self.run, self.batcher, self.objective = run, batcher, objective
+        self.settings, self.sampler = settings, batcher.sampler
+        self.optimizer, self.held_out, self.world = optimizer, held_out, world
+        self.step = 0
+        self._earlier = 0.0
+        self._started = self._shown = time.perf_counter()
+        self._damaged = self._restore()
+        # Rank 0 alone writes; the others only compute.
+        self.log = EventLog(run.events, on_event) if world.is_first else None
+        self.batches = Prefetcher(batcher, world.rank, world.size)
+
+    def run_to_end(self, stop: StopRequest) -> RunResult:
+        """Train until done or told to stop; a checkpoint and the colours are written either way."""
+        try:
+            figures, reason = self._steps(stop)
+        finally:
+            self.batches.close()
+            if self.log:
+                self.log.close()
+        last, colors_step = self._final_colors()
+        colors = self._on_faces(last)
+        return RunResult(
+            out=self.run.path,
+            step=self.step,
+            steps=self.sampler.steps,
+            seconds=self.seconds,
+            figures=figures or self._recorded_figures(),
+            stopped=reason,
+            colors=colors,
+            colors_step=colors_step,
+            enough=self._enough(),
+            closeness=None if self.optimizer.near is None else self.optimizer.near.closeness(_as_array(last)),
+        )
+
+    def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
+        figures, reason = None, ""
+        changes = {"changes": self.run.changes} if self.run.changes else {}
+        self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged, **changes)
+        try:
+            while not self._is_done() and not reason:
+                figures = self._one_step()
+                self._hold_out()
+                if self.world.is_first and self._due(self.settings.run.snapshot_every):
+                    self.run.write_snapshot(self.step, self._colors_array())
+                reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
+                if self._is_done() or reason:
+                    self._save(final=True)
+                elif self._due(self.settings.run.checkpoint_every):
+                    self._save()
+                else:
+                    self._show()
+        except LostProcess as lost:
+            self._save(final=True)
+            message = f"{self.run.path}: lost another process of this run after step {self.step} ({lost})"
+            raise TrainingError(f"{message}; a checkpoint is written, --resume goes on") from None
+        except InputError:
+            # A background that vanished, a detector gone wrong: keep what was reached, unless the disk is the trouble.
+            with contextlib.suppress(InputError):
+                self._save(final=True)
+            raise
+        reason = "" if self._is_done() else reason
+        outcome = "stopped" if reason else "done"
+        self._tell("end", outcome=outcome, reason=reason or self._enough(), colors_step=self._final_colors()[1])
+        return figures, reason
+
+    def _is_done(self) -> bool:
+        return self.step >= self.sampler.steps or bool(self._enough())
+
+    def _enough(self) -> str:
+        """Say why no more steps are needed before the last one; "" when they are."""
+        if self.held_out is None or self.step >= self.sampler.steps or not self.held_out.is_over(self.step):
+            return ""
+        return f"nothing better on what is held out since step {self.held_out.best.step}"
+
+    def _hold_out(self) -> None:
+        if self.held_out is not None and self.held_out.is_due(self.step, self.sampler.steps):
+            self._tell("held_out", **self.held_out.consider(self.step, self.optimizer.finished()))
+
+    def _recorded_figures(self) -> StepFigures | None:
+        """Read the last step's figures from the event log: a run that was complete before has no others."""
+        names = [field.name for field in dataclasses.fields(StepFigures)]
+        for event in reversed(read_events(self.run.events) if self.world.is_first else []):
+            if event.get("type") == "step" and all(isinstance(event.get(name), float) for name in names):
+                return StepFigures(*(event[name] for name in names))
+        return None
+
+    @property
+    def seconds(self) -> float:
+        """Training time so far, earlier parts included; from a clock that cannot run backwards."""
+        return self._earlier + time.perf_counter() - self._started
+
+    def _one_step(self) -> StepFigures:
+        lr = learning_rate(self.settings.optimization, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
+        self.optimizer.reach(self.step, self.sampler.steps)
+        batch = self.batches.batch(self.step)
+        share = len(batch) / self.sampler.images_of(self.step)
+        step = gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
+        if not step.is_finite:
+            self._refuse(step)
+        self._watch(step)
+        self.optimizer.update(lr)
+        self.step += 1
+        self._tell("step", **dataclasses.asdict(step.figures), lr=lr)
+        if self.world.is_first and self._due(self.settings.run.preview_every):
+            path = self.run.previews / f"step-{self.step:08d}.png"
+            save_preview(path, step.images, next(iter(step.detections.values())), self.settings.run.threshold)
+            self._tell("preview", path=f"previews/{path.name}")
+        return step.figures
+
+    def _watch(self, step: Step) -> None:
+        """Tell the sampler and the ensemble how surely a person was found in the batch's images, every process's."""
+        if self.objective.ensemble.is_adaptive:
+            self._watch_detectors(step)
+        if self.sampler.hard_views is None:
+            return
+        found = torch.zeros(self.sampler.images_of(self.step), dtype=torch.float64, device=self.batcher.device)
+        if step.detections:
+            scores = [max_person_score(said).detach() for said in step.detections.values()]
+            found[self.world.rank :: self.world.size] = torch.stack(scores).mean(0).double()
+        draws = self.sampler.draw(self.step)
+        found = self.world.sum(found).cpu().numpy()
+        seen = draws.person < 0  # photographs show no pose of the scene
+        self.sampler.hard_views.observe(self.step, draws.pose[seen], draws.sector[seen], found[seen])
+
+    def _watch_detectors(self, step: Step) -> None:
+        ensemble, device = self.objective.ensemble, self.batcher.device
+        asked = [number for group in ensemble.asked(self.step) for number in group]
+        total = torch.zeros(len(asked), dtype=torch.float64, device=device)
+        for place, number in enumerate(asked):
+            if number in step.detections:
+                point = self.objective.detectors[number].operating_point
+                total[place] = level(max_person_score(step.detections[number]).double(), point).sum()
+        mean = (self.world.sum(total) / self.sampler.images_of(self.step)).tolist()
+        ensemble.observe(dict(zip(asked, mean, strict=True)))
+
+    def _refuse(self, step: Step) -> None:
+        names = [
+            self.objective.detectors[number].spec
+            for number, said in step.detections.items()
+            if not (torch.isfinite(said.scores).all() and torch.isfinite(said.boxes).all())
+        ]
+        blame = f"; not finite: the output of {', '.join(names)}" if names else ""
+        what = "its loss" if not np.isfinite(step.figures.loss) else "the gradient of its loss"
+        self._tell("error", message=f"{what} is not finite")
+        raise TrainingError(
+            f"{self.run.path}: step {self.step}: {what} is not finite{blame}; colours are left as before"
+        )
+
+    def _due(self, every: int) -> bool:
+        return every > 0 and self.step % every == 0
+
+    def _tell(self, kind: str, **more: object) -> None:
+        if self.log:
+            self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
+
+    def _colors_array(self) -> Float[np.ndarray, "L 3"]:
+        return self._on_faces(self.optimizer.finished())
+
+    def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
+        """Give the colours of the logo's faces: of a cloth, the mean of the squares on each face.
+
+        Where colours are restricted (`PatternSettings.binds`) the mean might not be allowed; then it is the colour of
+        the square under the face's centre.
+        """
+        cloth, colors = self.batcher.cloth, _as_array(colors)
+        if cloth is None:
+            return colors
+        return colors[cloth.square] if self.settings.pattern.binds else cloth.on_faces(colors)
+
+    def _final_colors(self) -> tuple[Float[Tensor, "N 3"], int]:
+        """Give the colours the run ends with, and the step they are of."""
+        if self.held_out is None or self.held_out.best is None:
+            return self.optimizer.finished(), self.step
+        return self.held_out.best.colors, self.held_out.best.step
+
+    def _save(self, final: bool = False) -> None:
+        """Write a checkpoint, and the colours: the latest, or those the run ends with."""
+        if self.world.is_first:
+            colors = self._final_colors()[0] if final else self.optimizer.finished()
+            write_colors(self.run.colors, self._on_faces(colors))
+            if self.batcher.cloth is not None:
+                self.run.write_cloth(_as_array(colors), self.batcher.cloth.cloth)
+            tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
+            tensors |= self.sampler.hard_views.state() if self.sampler.hard_views else {}
+            tensors |= self.objective.ensemble.state()
+            save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
+            self._shown = time.perf_counter()
+            self._tell("checkpoint")
+
+    def _show(self) -> None:
+        """Write the latest colours every now and then, for whoever watches."""
+        if self.world.is_first and time.perf_counter() - self._shown >= LIVE_SECONDS:
+            write_colors(self.run.colors, self._colors_array())
+            self._shown = time.perf_counter()
+
+    def _restore(self) -> list[str]:
+        """Load the last sound checkpoint, if any, in every process; returns what was wrong with later ones."""
+        checkpoint, damaged = self.world.on_rank0(lambda: load_checkpoint(self.run.checkpoint)) or (None, [])
+        checkpoint = receive_checkpoint(self.world.broadcast(send_checkpoint(checkpoint)))
+        if checkpoint is not None:
+            try:
+                self.optimizer.load(checkpoint.tensors)
+                self.objective.ensemble.load(checkpoint.tensors)
+                if self.held_out is not None:
+                    self.held_out.load(checkpoint.tensors)
+                if self.sampler.hard_views is not None:
+                    self.sampler.hard_views.load(checkpoint.tensors)
+            except (KeyError, ValueError) as error:
+                raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
+            self.step, self._earlier = checkpoint.step, checkpoint.time
+        if self.world.is_first:
+            rewind_events(self.run.events, self.step)
+        return damaged
+
+
+def _as_array(colors: Tensor) -> Float[np.ndarray, "L 3"]:
+    return colors.detach().cpu().numpy().astype(np.float32, copy=True)

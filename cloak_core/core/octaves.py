@@ -1,0 +1,77 @@
+"""Colours as sums over grids of several scales, so that one update moves large areas as readily as single faces.
+
+A Laplacian pyramid (Burt and Adelson, IEEE Transactions on Communications 31(4), 1983) in place of one free colour a
+face. Adam moves every parameter about equally far in a step, so that a coarse grid reaches at once what single faces
+reach after many steps in one direction: a preconditioner, as a Fourier basis is one (Olah et al., "Feature
+Visualization", Distill, 2017).
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy import sparse
+from torch import Tensor
+
+from cloak_core.core.visibility.sparse import csr
+
+
+class Octaves:
+    """The coarse grids: grid k = 1, 2 ... has nodes 2^k times `spacing` apart, and values between them are multilinear.
+
+    points: of the N faces (or squares of a cloth), metres in D dimensions; count: of scales, the faces' own included;
+    period: what repeats in every dimension (None: nothing does), into which a whole number of nodes is fitted.
+    """
+
+    def __init__(
+        self,
+        points: Float[np.ndarray, "N D"],
+        spacing: float,
+        count: int,
+        period: float | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        weights = sparse.hstack([_grid(points, spacing * 2**k, period) for k in range(1, count)], "csr")
+        self.nodes = weights.shape[1]
+        """K, of all grids together."""
+        self.weights, self.transposed = _on_device(weights, device), _on_device(weights.T.tocsr(), device)
+
+    def __call__(self, values: Float[Tensor, "K 3"]) -> Float[Tensor, "N 3"]:
+        """Sum the grids' values at the points."""
+        return _Product.apply(values, self)
+
+
+class _Product(torch.autograd.Function):
+    """A product with a constant sparse matrix, and its gradient with the transposed one."""
+
+    @staticmethod
+    def forward(ctx: object, values: Tensor, octaves: Octaves) -> Tensor:
+        ctx.octaves = octaves
+        return octaves.weights @ values
+
+    @staticmethod
+    def backward(ctx: object, upstream: Tensor) -> tuple[Tensor, None]:
+        return ctx.octaves.transposed @ upstream, None
+
+
+def _grid(points: np.ndarray, spacing: float, period: float | None) -> sparse.csr_matrix:
+    """Weights [N, nodes next to a point] of one grid; each row adds up to 1."""
+    count = None if period is None else max(1, round(period / spacing))
+    at = points / (spacing if count is None else period / count)
+    first = np.floor(at).astype(np.int64)
+    nodes, weights = [], []
+    for corner in itertools.product((0, 1), repeat=points.shape[1]):
+        nodes.append(first + corner if count is None else (first + corner) % count)
+        weights.append(np.where(corner, at - first, 1 - (at - first)).prod(axis=1))
+    used, column = np.unique(np.concatenate(nodes), axis=0, return_inverse=True)
+    rows = np.tile(np.arange(len(points)), len(nodes))
+    return sparse.csr_matrix((np.concatenate(weights), (rows, column.ravel())), shape=(len(points), len(used)))
+
+
+def _on_device(matrix: sparse.csr_matrix, device: torch.device | str) -> Tensor:
+    matrix.sort_indices()
+    numbers = (matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64), matrix.data.astype(np.float32))
+    return csr(*(torch.from_numpy(array).to(device) for array in numbers), matrix.shape)

@@ -1,0 +1,157 @@
+"""Baked views, face colours and backgrounds to images, differentiable in the colours alone.
+
+For each pixel a body covers: image = body + (1 - coverage) * background, clamped to [0, 1]. Only the logo's entries
+take part in the gradient; the clamp passes it where the sum lies within [0, 1], bounds included.
+
+A `Canvas` holds all that does not depend on the colours; painting them is one sparse product and a scatter. Images are
+channels-last in memory: three neighbouring numbers a pixel, which detectors process fastest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float32, Int64, Integer, UInt8
+from torch import Tensor
+from torch.autograd.graph import increment_version
+
+from cloak_core.core.view import BakedView, Photometric
+from cloak_core.core.visibility.backend import LogoMatrix, backend
+
+
+def compose(
+    views: Sequence[BakedView],
+    colors: Float32[Tensor, "*B L 3"],
+    backgrounds: Float32[Tensor, "B 3 H W"],
+    shifts: Integer[Tensor, "B 2"] | None = None,
+    photometric: Photometric | None = None,
+) -> Float32[Tensor, "B 3 H W"]:
+    """Render B baked views of one logo over B backgrounds.
+
+    colors: the logo's, for all images [L, 3] or for each [B, L, 3]. shifts: (dx, dy) in whole pixels, right and down,
+    by which the body moves; what leaves the image is lost. Returns images in [0, 1], never NaN for finite input.
+    """
+    return Canvas.before(views, backgrounds, shifts, photometric).paint(colors)
+
+
+def blank(count: int, height: int, width: int, device: torch.device | str = "cpu") -> Float32[Tensor, "P 3"]:
+    """Allocate a canvas: a row for each pixel of `count` images, and one more for pixels that a shift moves out."""
+    return torch.empty(count * height * width + 1, 3, device=device)
+
+
+def lay_backdrop(rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3 H W"]]) -> None:
+    """Fill a canvas (see `blank`) with one background for each of its images, all of one size."""
+    for own, image in zip(pixels_of(rows, (len(images), *images[0].shape)), images, strict=True):
+        # Bytes travel to the device; numbers are made there.
+        own.copy_(image.to(own.device, non_blocking=True)).div_(255)
+
+
+def pixels_of(rows: Float32[Tensor, "P 3"], shape: Sequence[int]) -> Float32[Tensor, "B 3 H W"]:
+    """View the rows of a canvas as images of this shape; the same memory."""
+    batch, _, height, width = shape
+    return rows[:-1].view(batch, height, width, 3).permute(0, 3, 1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """B images, finished but for the M pixels (of all of them) that show the logo."""
+
+    rows: Float32[Tensor, "P 3"]
+    """Every pixel's colour, and one more row; see `blank`."""
+    shape: tuple[int, int, int, int]
+    """B, 3, H, W."""
+    base: Float32[Tensor, "M 3"]
+    """What the logo's pixels show beside the logo: the rest of the body, the highlight, the background at an edge."""
+    target: Int64[Tensor, " M"]
+    """Rows of the logo's pixels; the last row for pixels that a shift moves out of the image."""
+    logo: LogoMatrix
+    """What the logo's colours add to them."""
+    scale: Float32[Tensor, "B 1 1"] | Float32[Tensor, "1 3"] | Float32[Tensor, "B 1 3"] | None
+    """What the logo's colours are multiplied by: the light's colour, the contrast of the render."""
+    logo_count: int
+    """L."""
+
+    @staticmethod
+    def alone(views: Sequence[BakedView], photometric: Photometric | None = None) -> Canvas:
+        """Composite views that need no background, as their coverage is 1 everywhere (photographs); else over black."""
+        rows = blank(len(views), views[0].height, views[0].width, views[0].pixels.device).zero_()
+        return Canvas.of(views, rows, None, photometric)
+
+    @staticmethod
+    def before(
+        views: Sequence[BakedView],
+        backgrounds: Float32[Tensor, "B 3 H W"],
+        shifts: Integer[Tensor, "B 2"] | None = None,
+        photometric: Photometric | None = None,
+    ) -> Canvas:
+        """Composite B bodies without their logo over a copy of these backgrounds."""
+        _check(views, (len(backgrounds), *backgrounds.shape[2:]))
+        rows = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
+        pixels_of(rows, backgrounds.shape).copy_(backgrounds)
+        return Canvas.of(views, rows, shifts, photometric)
+
+    @staticmethod
+    def of(
+        views: Sequence[BakedView],
+        rows: Float32[Tensor, "P 3"],
+        shifts: Integer[Tensor, "B 2"] | None = None,
+        photometric: Photometric | None = None,
+    ) -> Canvas:
+        """Composite B bodies without their logo over the backgrounds in `rows` (see `blank`), in place."""
+        _check(views, (len(views), views[0].height, views[0].width))
+        way = backend(rows.device)
+        scale = None
+        if any(view.light_color != (1.0, 1.0, 1.0) for view in views):
+            scale = torch.tensor([[view.light_color] for view in views], device=rows.device)
+        if photometric is not None:
+            scale = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale)
+        base, target = way.draw_bodies(views, rows, shifts, photometric)
+        logo = way.logo_matrix(views)
+        shape = (len(views), 3, views[0].height, views[0].width)
+        return Canvas(rows, shape, base, target, logo, scale, views[0].logo_count)
+
+    def paint(self, colors: Float32[Tensor, "*B L 3"]) -> Float32[Tensor, "B 3 H W"]:
+        """Draw the images with these colours, as `compose` does. The next call draws into the same memory."""
+        if self.logo_count != colors.shape[-2]:
+            raise ValueError(f"views are baked for another logo than these {colors.shape[-2]} colours")
+        if self.scale is not None:
+            colors = colors * self.scale
+        if colors.ndim == 3 and len(colors) != self.shape[0]:
+            raise ValueError(f"colours for {len(colors)} images, views for {self.shape[0]}")
+        return _Paint.apply(colors, self)
+
+
+def _check(views: Sequence[BakedView], wanted: tuple[int, int, int]) -> None:
+    if len(views) != wanted[0] or any((view.height, view.width) != wanted[1:] for view in views):
+        raise ValueError("views and backgrounds differ in number or size")
+    if any(view.logo_count != views[0].logo_count for view in views):
+        raise ValueError("views are baked for logos of different sizes")
+
+
+def true_boxes(views: Sequence[BakedView], shifts: Integer[Tensor, "B 2"] | None = None) -> Float32[Tensor, "B 4"]:
+    """(x0, y0, x1, y1) of each body in its image, pixels, shifted like the body and clipped to the image."""
+    device = views[0].pixels.device
+    boxes = torch.tensor([view.box for view in views], dtype=torch.float32).to(device)
+    if shifts is not None:
+        boxes = boxes + shifts.to(device, torch.float32).repeat(1, 2)
+    limits = torch.tensor([[v.width, v.height, v.width, v.height] for v in views], dtype=torch.float32).to(device)
+    return torch.minimum(boxes.clamp(min=0), limits)
+
+
+class _Paint(torch.autograd.Function):
+    """Draw the logo; the gradient of the colours is one product with the transposed matrix."""
+
+    @staticmethod
+    def forward(ctx: object, colors: Float32[Tensor, "*B L 3"], canvas: Canvas) -> Float32[Tensor, "B 3 H W"]:
+        kept = canvas.logo.paint(colors, canvas.base, canvas.target, canvas.rows)
+        ctx.shape, ctx.logo = colors.shape, canvas.logo
+        ctx.save_for_backward(*kept)
+        # Loops write without torch noticing: mark the tensor as changed for graphs that saved its old value.
+        increment_version(canvas.rows)
+        return pixels_of(canvas.rows, canvas.shape)
+
+    @staticmethod
+    def backward(ctx: object, gradient: Tensor) -> tuple[Tensor, None]:
+        return ctx.logo.gradient(ctx.saved_tensors, gradient, ctx.shape), None

@@ -1,0 +1,156 @@
+"""The folder of one training: who may write into it, what it was started with, and how it is told to stop.
+
+config.json  logo.npy + logo.json  events.jsonl  colors.npy  cloth.png (a cloth that repeats)  checkpoint/  previews/
+snapshots/  report.html  cancel
+"""
+
+import contextlib
+import logging
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32
+from PIL import Image
+from torch import Tensor
+
+from cloak_core.core.checkpoints import remove_unfinished
+from cloak_core.core.cloth import CLOTH_FILE, Cloth
+from cloak_core.core.detector.protocol import Detections
+from cloak_core.core.detector.scoring import person_boxes
+from cloak_core.core.logo import Logo
+from cloak_core.core.pictures import save_picture
+from cloak_core.core.run_config import changes_around, check_same
+from cloak_core.detectors.check import draw_boxes
+from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.face_lists import read_face_list, write_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.locks import lock
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.zoo.entry import run_path
+
+_log = logging.getLogger("cloak")
+
+
+class RunFolder:
+    """Paths of a run. Make one with `open_run`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = path / "config.json"
+        self.logo = path / "logo.npy"
+        self.events = path / "events.jsonl"
+        self.colors = path / "colors.npy"
+        self.cloth = path / CLOTH_FILE
+        self.checkpoint = path / "checkpoint"
+        self.previews = path / "previews"
+        self.snapshots = path / "snapshots"
+        self.cancel = path / "cancel"
+        self.changes: list[str] = []
+        """What is not as it was when the run began, though it decides at most the last bits of the result."""
+
+    def write_cloth(self, colors: Float32[np.ndarray, "S 3"], cloth: Cloth) -> None:
+        """Write the cloth as a picture."""
+        squares = np.round(255 * colors.reshape(cloth.count, cloth.count, 3)).astype(np.uint8)
+        save_picture(self.cloth, Image.fromarray(squares))
+
+    def write_snapshot(self, step: int, colors: Float32[np.ndarray, "L 3"]) -> None:
+        """Keep a copy of the colours after so many steps."""
+        if self.snapshots.is_symlink():
+            raise InputError(f"{self.snapshots}: not a folder of its own")
+        with written(self.snapshots):
+            self.snapshots.mkdir(exist_ok=True)
+        write_colors(self.snapshots / f"step-{step:08d}.npy", colors)
+
+
+def read_start(path: Path, logo: Logo, option: str = "--init") -> Float32[np.ndarray, "L 3"]:
+    """Read colours [L, 3] to begin with: a file of them, or a run (or zoo:NAME) of the same logo. InputError."""
+    path = run_path(path)
+    if not path.is_dir():
+        return read_colors(path, len(logo.face_ids))
+    run = RunFolder(path)
+    if not run.config.exists():
+        raise InputError(f"{option} {path}: not a run folder (no config.json in it)")
+    trained = read_face_list(run.logo)
+    if trained.topology != logo.topology or not np.array_equal(trained.ids, logo.face_ids):
+        raise InputError(f"{option} {path}: was trained on another logo (`cloak logo transfer` carries colours over)")
+    return read_colors(run.colors, len(logo.face_ids))
+
+
+@contextlib.contextmanager
+def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[RunFolder]:
+    """Create a run folder, or open it to resume; nobody else can train in it until the block ends.
+
+    InputError: the folder exists and is not to be resumed, was started with another configuration (the first
+    difference is named), is no run folder, or is being written by another process. Resuming what does not exist yet
+    starts it, so that one command serves every restart.
+    """
+    path = Path(path)
+    if path.exists() and not resume:
+        raise InputError(f"{path}: exists already (--resume goes on with it)")
+    if not path.exists():
+        try:
+            _start(path, config, logo)
+        except InputError:
+            # Another process may have been quicker by a moment; whose folder it is then, is asked below.
+            if not (resume and path.exists()):
+                raise
+    run = RunFolder(path)
+    if not run.config.exists():
+        raise InputError(f"{path}: not a run folder (no config.json in it)")
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(lock(path / ".lock"))
+        except BlockingIOError:
+            raise InputError(f"{path}: another process is training in this folder") from None
+        recorded = read_json(run.config)
+        check_same(recorded, config, path)
+        run.changes = changes_around(recorded, config)
+        if run.changes:
+            began = ", ".join(run.changes)
+            _log.warning("%s: began with %s: colours may differ in bits from those of an unbroken run", path, began)
+        for folder in (run.checkpoint, run.previews):
+            # A run folder may come from elsewhere; nothing of it may lead outside.
+            if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+                raise InputError(f"{folder}: not a folder of its own")
+            with written(folder):
+                folder.mkdir(exist_ok=True)
+        remove_unfinished(run.checkpoint)
+        _remove_unfinished_files(run)
+        with written(run.cancel):
+            run.cancel.unlink(missing_ok=True)
+        yield run
+
+
+def _start(path: Path, config: dict, logo: Logo) -> None:
+    with new_folder(path) as temporary:
+        write_json(temporary / "config.json", config)
+        write_face_list(temporary / "logo.npy", logo.face_ids, logo.topology)
+        (temporary / "checkpoint").mkdir()
+        (temporary / "previews").mkdir()
+
+
+def _remove_unfinished_files(run: RunFolder) -> None:
+    """Remove the unfinished files that a killed process left."""
+    for folder, pattern in ((run.path, ".colors.npy.*"), (run.path, ".events.jsonl.*"), (run.previews, ".step-*")):
+        for path in folder.glob(pattern):
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+MOST = 8
+"""Images on one sheet."""
+
+
+def save_preview(path: Path, images: Float[Tensor, "B 3 H W"], detections: Detections, threshold: float) -> None:
+    """Save a sheet of the first images, boxes drawn around persons above `threshold`; whole or not at all."""
+    count = min(len(images), MOST)
+    columns = math.ceil(math.sqrt(count))
+    height, width = images.shape[-2:]
+    sheet = Image.new("RGB", (columns * width, math.ceil(count / columns) * height))
+    boxes = person_boxes(Detections(detections.boxes[:count].detach(), detections.scores[:count].detach()), threshold)
+    for i in range(count):
+        sheet.paste(draw_boxes(images[i], boxes[i]), (i % columns * width, i // columns * height))
+    save_picture(path, sheet)

@@ -1,0 +1,316 @@
+"""The settings of training's components, with their ranges and their help.
+
+Every field is an option of `cloak train` by its name; the string below it is its help.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cloak_core.core.cameras import Camera
+from cloak_core.core.settings.values import Angles, Azimuths, Bounds, NotNegative, Positive, Range, Weights
+from cloak_core.core.visibility.settings import RenderOptions
+from cloak_core.files.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComputeSettings:
+    """Where to compute."""
+
+    # A command prepares its process by them (`commands.options`); functions leave the process as it is.
+
+    device: str = "cpu"
+    """Torch device: cpu, cuda, cuda:1."""
+    threads: Annotated[int | None, Bounds(1, 4096)] = None
+    """CPU threads of torch; None leaves them as they are. Bit-identical results need equal numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """How long the run is, and what it keeps."""
+
+    epochs: Annotated[float | None, Bounds(ends="()")] = 100.0
+    """Passes over the data, instead of --steps; an epoch shows every background once at every training angle."""
+    steps: Annotated[int | None, Bounds(1, 10_000_000)] = None
+    """Updates of the colours, instead of --epochs."""
+    batch: Annotated[int, Bounds(1, 4096)] = 8
+    """Images per update."""
+    microbatch: Annotated[int | None, Bounds(1, 4096)] = None
+    """Images that a detector sees at once, to bound memory; None: the whole batch. The gradient is the same up to
+    rounding."""
+    max_seconds: Annotated[float | None, Bounds(ends="()")] = None
+    """Stop after this much training time, seconds, with a checkpoint to resume from."""
+    held_out: Annotated[float, Bounds(0, 0.5)] = 0.0
+    """Share of the training poses and backgrounds that is set aside to choose the best colours."""
+    held_out_every: Annotated[int, Bounds(1, 10_000_000)] = 50
+    """Steps between measurements on the held-out share."""
+    patience: Annotated[int, Bounds(0, 10_000_000)] = 0
+    """Stop after this many measurements in a row without improvement; 0 trains to the end."""
+    seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
+    """Every random draw derives from it."""
+    threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
+    """Score above which a person counts as detected, in the success that events report."""
+    checkpoint_every: Annotated[int, Bounds()] = 100
+    """Steps between checkpoints; 0 writes one at the end."""
+    preview_every: Annotated[int, Bounds()] = 100
+    """Steps between preview pictures; 0 writes none."""
+    snapshot_every: Annotated[int, Bounds()] = 0
+    """Steps between copies of the colours in RUN/snapshots, for `cloak evaluate --over-time`; 0 keeps none."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if (self.epochs is None) == (self.steps is None):
+            raise InputError("--steps and --epochs: give one of them")
+        if self.patience and not self.held_out:
+            raise InputError("--patience: needs a share to be set aside, --held-out 0.2 for instance")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewSettings(RenderOptions):
+    """What the rendered images show of the body."""
+
+    angles: Azimuths = Azimuths(Angles((-10.0, -5.0, 0.0, 5.0, 10.0)))
+    """Azimuths of the camera, degrees: 0; -10,0,10; FIRST:LAST:STEP with LAST included; or LOW..HIGH for any angle in
+    between, drawn evenly from sectors of ten degrees. 0..360 is the full circle."""
+    angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
+    """Change each azimuth by up to this many degrees, uniformly; 0 keeps the azimuths, so that views can be reused."""
+    hard_views: Annotated[float, Bounds(0, 1)] = 0.0
+    """Share of the images that show poses and azimuths where detectors still find the person; the others are drawn
+    evenly."""
+    elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
+    """Camera elevation, degrees: one number, or LOW:HIGH for a uniform draw per image."""
+    elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
+    """Standard deviation of the elevation, degrees."""
+    distance: Annotated[Range, Bounds(ends="()")] = Range(2.2, 2.2)
+    """Camera distance, metres: one number, or LOW:HIGH for a uniform draw per image."""
+    field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
+    """Vertical field of view, degrees."""
+    size: Annotated[int, Bounds(16, 4096)] = 416
+    """Width and height of the rendered images, pixels."""
+    outfits: Literal["random", "first"] = "random"
+    """Clothing of the body outside the logo: a random outfit per image, or the first."""
+
+    def camera(self, azimuth: float, elevation: float, distance: float) -> Camera:
+        """Make the camera at a place, degrees and metres."""
+        place = {"azimuth": azimuth, "elevation": elevation, "distance": distance}
+        return Camera(field_of_view=self.field_of_view, width=self.size, height=self.size, **place)
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        reach = 4 * self.elevation_jitter
+        if not -90 <= self.elevation.low - reach <= self.elevation.high + reach <= 90:
+            raise InputError("--elevation-jitter: would carry the camera over the pole")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AugmentationSettings:
+    """What makes every image another one."""
+
+    translation: Annotated[int, Bounds(0, 4096)] = 50
+    """Move the body by up to this many pixels along both axes."""
+    translation_per: Literal["image", "batch"] = "image"
+    """Draw the translation for each image, or once for the batch."""
+    contrast: Annotated[Range, Bounds(ends="[)")] = Range(0.0, 1.0)
+    """Range of the factor on the colours; 1 switches it off."""
+    brightness: Range = Range(0.0, 1.0)
+    """Range of what is added to the colours; 0 switches it off."""
+    noise: Annotated[float, Bounds(0, 1)] = 0.1
+    """Amplitude of uniform noise on the colours."""
+    photometric_on: Literal["logo", "render"] = "logo"
+    """Apply contrast, brightness and noise to the logo (per face), or to the render (per pixel of the body)."""
+    occluders: Annotated[int, Bounds(0, 16)] = 0
+    """Put at most this many rectangles, cut from other backgrounds, before each body."""
+    zoom: Annotated[Range, Bounds(0.25, 4)] = Range(1.0, 1.0)
+    """Range of the factor by which the finished image is enlarged about its centre; 1 switches it off."""
+    blur: Annotated[float, Bounds(0, 2)] = 0.0
+    """Blur the finished image by a Gaussian of at most this standard deviation, pixels; 0 switches it off."""
+    jpeg: Annotated[Range | None, Bounds(1, 100)] = None
+    """Range of the JPEG quality, 1 to 100, of the finished image; None switches it off."""
+    cutout: Annotated[float, Bounds(0, 1)] = 0.0
+    """Paint up to this share of the logo's faces grey in each image, around one face, so that no colour depends on the
+    others; 0 switches it off."""
+    crop: Annotated[float, Bounds(0, 0.9)] = 0.0
+    """Cut away up to this share of the finished image's width and height, and enlarge the rest."""
+    pad: Annotated[float, Bounds(0, 0.9)] = 0.0
+    """Shrink the finished image into a grey margin of up to this share of the width and height. With --crop, too, each
+    image gets one of the two."""
+    tint: Annotated[float, Bounds(0, 0.9)] = 0.0
+    """Multiply the finished image's red, green, blue and saturation each by up to 1 ± this."""
+    background_mix: Annotated[float, Bounds(0, 1)] = 0.0
+    """Mix up to this share of another background into the one behind the body."""
+    wrinkles: Annotated[float, Bounds(0, 0.1)] = 0.0
+    """Lay the cloth under the logo in random smooth folds of this depth, metres; 0 leaves the scene's shape."""
+    wrinkle_draws: Annotated[int, Bounds(1, 64)] = 4
+    """With --wrinkles: number of random folds in which each pose is seen."""
+
+
+Loss = Literal["score", "objectness", "log", "margin"]
+Reduce = Literal["max", "topk", "logsumexp"]
+Hide = Literal["person", "everything"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossSettings:
+    """What training minimises."""
+
+    hide: Hide = "person"
+    """What to hide: the class person alone, or every class on the body."""
+    loss: Loss = "score"
+    """What is minimised of each box: score, of the person; objectness, where person is the likeliest class; log, which
+    is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score lies above the
+    detector's own operating point, in logits."""
+    margin: NotNegative = 1.0
+    """For --loss margin: logits below the operating point at which half of the gradient is left. A larger margin hides
+    from more of the detectors that training never saw."""
+    reduce: Reduce = "max"
+    """How an image's boxes become one number: the largest, the mean of the ten largest (topk), or a soft maximum."""
+    rpn_weight: NotNegative = 0.0
+    """For two-stage detectors: weight of the first stage's objectness of the proposals behind person boxes."""
+    ensemble: Literal["mean", "max", "weighted", "adaptive"] = "mean"
+    """How the losses of several detectors are combined: mean; max, the detector that sees most; weighted, by
+    --detector-weights; adaptive, by how surely each detector found a person lately."""
+    detector_weights: Weights | None = None
+    """For --ensemble weighted: one weight per detector, A,B,C. Only their ratios count."""
+    detectors_per_step: Annotated[int | None, Bounds(1, 4096)] = None
+    """Ask at most this many detectors in each step, drawn at random; None asks all."""
+    tv_weight: NotNegative = 2.5
+    """Weight of total variation: the sum over inner edges of length (metres) times colour difference, divided by the
+    number of the logo's faces."""
+    nps_weight: NotNegative = 0.0
+    """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
+    palette: str | None = None
+    """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if self.nps_weight and self.palette is None:
+            raise InputError("--nps-weight: needs a --palette to measure against")
+        if (self.ensemble == "weighted") != (self.detector_weights is not None):
+            raise InputError("--ensemble weighted and --detector-weights: one needs the other")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PatternSettings:
+    """Which colours there may be, and how finely they may change."""
+
+    colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
+    """End with at most this many distinct colours (inks, yarns, cloths): chosen from --palette, or learnt without one.
+    None gives each face its own colour."""
+    pattern: Literal["free", "camouflage", "tile"] = "free"
+    """Where colours may change: free, from face to face; camouflage, between patches no smaller than --feature-cm;
+    tile, between squares of --feature-cm in a cloth that repeats every --tile-cm, and may lie anywhere on the body."""
+    feature_cm: Annotated[float, Bounds(0, 100, "(]")] = 2.0
+    """Diameter of the smallest patch, centimetres along the body in the first pose."""
+    tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
+    """For --pattern tile: width and height of the cloth that repeats, centimetres."""
+    profile: str | None = None
+    """Profile of a printer and a camera (`cloak calibrate`): train the colours as they are photographed after printing;
+    `cloak print --profile` writes the colours to send."""
+
+    near: str | None = None
+    """Stay close to a garment: #rrggbb, clothing (the first outfit), camouflage (a woodland print), a picture as cloth
+    (FILE.png@tile=0.5, metres), colours of this logo (.npy), a run of it or zoo:NAME. With --pattern, to its mean in
+    each patch or square."""
+    within: Positive | None = None
+    """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
+    within_most: Positive | None = None
+    """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if (self.near is None) != (self.within is None):
+            raise InputError("--near GARMENT and --within DE: one needs the other")
+        if self.within_most is not None and self.near is None:
+            raise InputError("--within-most: needs --near and --within")
+        if self.near is not None and self.profile is not None:
+            raise InputError("--near: says how colours are to look, --profile what comes out of a printer; give one")
+
+    @property
+    def on(self) -> bool:
+        """Whether any of it is asked for."""
+        recolored = self.colors_at_most is not None or self.pattern != "free"
+        return recolored or self.profile is not None or self.near is not None
+
+    @property
+    def binds(self) -> bool:
+        """Whether colours are restricted, to inks or to the neighbourhood of a garment; their mean may break that."""
+        return self.colors_at_most is not None or self.near is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurrogateSettings:
+    """What makes many of each detector, so that colours do not hang on one network's peculiarities.
+
+    Drawn anew for each image from (seed, step); the detector itself stays as it is.
+    """
+
+    shake: Annotated[float, Bounds(0, 1)] = 0.0
+    """Multiply residual branches by up to 1 ± this, as T-SEA's ShakeDrop (CVPR 2023); 0 switches it off."""
+    random_depth: Annotated[float, Bounds(0, 1, "[)")] = 0.0
+    """Probability that a residual branch is left out, for each image."""
+    activation_noise: Annotated[float, Bounds(0, 1, "[)")] = 0.0
+    """Multiply each channel of a convolution's output by up to 1 ± this; also for networks without residuals."""
+
+    @property
+    def on(self) -> bool:
+        return bool(self.shake or self.random_depth or self.activation_noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimizerSettings:
+    """How the colours begin and move."""
+
+    optimizer: Literal["sgd", "adam", "mi"] = "sgd"
+    """SGD, Adam, or mi: sign steps along a momentum of normalised gradients (MI-FGSM, Dong et al., CVPR 2018)."""
+    lr: Positive = 0.1
+    """Learning rate, in units of colour [0, 1]."""
+    momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
+    """For sgd and mi, in [0, 1)."""
+    sharpness: Annotated[float, Bounds(0, 0.5)] = 0.0
+    """Take the gradient where colours are worse by this much, root mean square (sharpness-aware minimisation, Foret et
+    al., ICLR 2021); 0 switches it off."""
+    ascent: Literal["gradient", "momentum"] = "gradient"
+    """With --sharpness, how the worse colours are found: along the gradient, which doubles the cost of a step, or along
+    the optimiser's momentum, which costs nothing (Becker et al., 2024)."""
+    smooth: Annotated[int, Bounds(0, 1000)] = 0
+    """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
+    frequencies are learnt; 0 gives each face its own colour."""
+    octaves: Annotated[int, Bounds(1, 10)] = 1
+    """Make colours the sum of this many grids, each twice as coarse as the one before, so that large areas are found as
+    readily as single faces; 1 has the faces' own colours alone. Needs --gamut sigmoid."""
+    schedule: Literal["constant", "step", "cosine"] = "step"
+    """Learning rate over time: constant, times 0.1 every --lr-epochs (step), or a cosine that ends at 1 %."""
+    lr_epochs: Positive = 10.0
+    """With --schedule step: epochs between drops."""
+    gamut: Literal["projection", "sigmoid"] = "projection"
+    """How colours stay in [0, 1]: projection after every update, or the sigmoid of free parameters."""
+    initial: Literal["grey", "random", "clothing", "animal", "balls", "ellipses", "dots", "checks", "stripes"] = "grey"
+    """First colours: grey; random, uniform per face and channel; clothing, the first outfit; animal, a dog's face on
+    front and back, which helps against detectors of many classes; or a plain print that repeats every 25 cm, which
+    helps a cloth (--pattern tile): balls, ellipses, dots, checks, stripes."""
+    init: str | None = None
+    """Begin with these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
+    transfer`)."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if self.optimizer == "adam" and self.momentum:
+            raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
+        if self.octaves > 1 and self.gamut != "sigmoid":
+            raise InputError("--octaves: sums of grids leave [0, 1]; give --gamut sigmoid")
+        if self.sharpness and self.ascent == "momentum" and self.optimizer == "sgd" and not self.momentum:
+            raise InputError("--ascent momentum: there is none without --momentum")
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuerySettings:
+    """How a detector is asked that gives no gradient."""
+
+    black_box_queries: Annotated[int | None, Bounds(1, 10_000_000)] = None
+    """Search with the detectors' answers alone, with this many images in all; best begun from transferred colours
+    (--init). Steps, optimiser and loss have no effect then. None trains by gradients."""
+    query_change: Annotated[float, Bounds(0, 1, "(]")] = 0.1
+    """How far a query moves the colours to either side, in units of colour [0, 1]."""
+    query_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.02
+    """How far the colours follow the estimated gradient in each update, in units of colour [0, 1]."""

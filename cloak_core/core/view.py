@@ -1,0 +1,270 @@
+"""The data that rendering passes on: screen, visible samples, fragments, views, baked views.
+
+A view is a sparse linear map from face colours to pixels. Two sources make views: the rasterizer (a pose seen by a
+camera), and photographs of people onto whose clothes faces are laid (`baking.baked_view`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from torch import Tensor
+
+from cloak_core.core.cameras import Number, Vector
+from cloak_core.core.visibility.compiled import arrays
+from cloak_core.core.visibility.packing import triangle_ids
+from cloak_core.core.visibility.settings import Light
+from cloak_core.core.visibility.sparse import offsets
+
+Cull = Bool[Tensor, " B"] | Bool[Tensor, "B T"] | None
+"""Views, or triangles of each view, whose back faces are dropped; None: none."""
+Coordinates = tuple[Tensor, Tensor, Tensor]
+"""x, y and z of points, float64, all of one shape."""
+Box = tuple[Number, Number, Number, Number]
+"""x0, y0, x1, y1 in pixels, x1 and y1 exclusive."""
+
+
+class CrowdedPixels(UserWarning):
+    """Pixels of too many pieces to resolve exactly in bounded time; they are sampled 64 x 64."""
+
+    def __init__(self, pixels: int) -> None:
+        super().__init__(f"{pixels} pixels show too many pieces to be exact: sampled 64 x 64")
+        self.pixels = pixels
+
+
+def box_of(mask: Bool[Tensor, "H W"]) -> tuple[int, int, int, int]:
+    """Find the bounding box (x0, y0, x1, y1) of a mask, x1 and y1 exclusive; zeros where it is empty."""
+    rows, columns = (mask.any(axis).nonzero().view(-1).tolist() for axis in (1, 0))
+    return (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if rows else (0, 0, 0, 0)
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of the image, in pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+
+@dataclass(frozen=True)
+class Screen:
+    """B views of V vertices: view space, and the snapped screen. All cameras of a batch share one image size."""
+
+    width: int
+    height: int
+    view: Coordinates
+    """View space coordinates [B, V], metres."""
+    x: Int32[Tensor, "B V"]
+    y: Int32[Tensor, "B V"]
+    inverse_depth: Float64[Tensor, "B V"]
+    """Near plane over view z: 1 at the near plane, towards 0 far away; linear on the screen along any triangle."""
+    in_guard_band: Bool[Tensor, "B V"] | None
+    """Vertices before the near plane and well inside the guard band (None: all). x, y and inverse_depth are undefined
+    at the others; triangles with such a vertex need clipping."""
+    bounds: tuple[int, int, int, int]
+    """Least and greatest x, least and greatest y of all vertices; (0, 0, 0, 0) where there are none."""
+    focal: Float64[Tensor, "B 1"]
+    near: Float64[Tensor, "B 1"]
+
+
+@dataclass(frozen=True)
+class FlatTriangles:
+    """N triangles of one view on the snapped screen, clipped where needed, between K corners."""
+
+    x: Int32[Tensor, " K"]
+    y: Int32[Tensor, " K"]
+    inverse_depth: Float64[Tensor, " K"]
+    corner: Int64[Tensor, "3 N"]
+    ids: Int64[Tensor, " N"]
+    one_sided: Bool[Tensor, " N"]
+    """Whether the triangle is dropped where it shows its back."""
+
+    def arrays(self) -> list[np.ndarray]:
+        """Return the fields as numpy arrays, in this order."""
+        return [getattr(self, column.name).contiguous().numpy() for column in fields(self)]
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """The nearest triangle at every sample of a window of B views."""
+
+    packed: Int64[Tensor, "B rows columns"]
+    """Packed depth and id (packing.py) of sample rows and columns, n to a pixel; `EMPTY` where nothing is."""
+    window: Window
+    width: int
+    height: int
+    grid: int
+    """Samples along each side of a pixel, n."""
+
+    def triangles(self) -> Int32[Tensor, "B H W S"]:
+        """Unpack the triangle id per sample of the whole image, S = n * n samples of a pixel row by row; -1 = none."""
+        w, n = self.window, self.grid
+        ids = triangle_ids(self.packed).to(torch.int32).view(len(self.packed), w.y1 - w.y0, n, w.x1 - w.x0, n)
+        image = ids.new_full((len(ids), self.height, self.width, n * n), -1)
+        image[:, w.y0 : w.y1, w.x0 : w.x1] = ids.transpose(2, 3).flatten(3)
+        return image
+
+
+@dataclass(frozen=True)
+class Fragments:
+    """N fragments of a view, sorted by pixel: what is visible of one triangle within one pixel."""
+
+    pixel: Int64[Tensor, " N"]
+    """Flat, y * W + x."""
+    triangle: Int64[Tensor, " N"]
+    area: Float32[Tensor, " N"]
+    """Share of the pixel, in (0, 1]."""
+    x: Float64[Tensor, " N"]
+    y: Float64[Tensor, " N"]
+    """The point where the fragment is lit, pixels from the top left corner of the image: the mean of its samples, or
+    its centroid."""
+
+    @staticmethod
+    def join(parts: Iterable[Fragments], device: torch.device) -> Fragments:
+        """Concatenate fragments, from top to bottom."""
+        parts = list(parts)
+        if len(parts) == 1:
+            return parts[0]
+        whole = torch.zeros(0, dtype=torch.int64, device=device)
+        none = Fragments(whole, whole, whole.float(), whole.double(), whole.double())
+        parts.append(none)
+        return Fragments(*(torch.cat([getattr(part, column.name) for part in parts]) for column in fields(Fragments)))
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What decides a view's matrix besides the pose: topology, texture coordinates, light."""
+
+    triangles: Int64[Tensor, "3 T"]
+    face: Int64[Tensor, " T"]
+    corner_uv: Float32[Tensor, "2 3 T"] | None
+    """Texture coordinates, where the bodies have textures."""
+    light: Light
+    by_face: bool
+    """Whether a pixel has one entry for each face instead of each triangle. Triangles of one polygon may lie far apart
+    on a texture, so textured bodies have one for each triangle."""
+
+
+@dataclass(frozen=True)
+class Photometric:
+    """Changes of brightness for B images: value * contrast + brightness + noise."""
+
+    contrast: Float32[Tensor, " B"]
+    brightness: Float32[Tensor, " B"]
+    noise: Number = 0.0
+    """Amplitude of uniform noise per pixel and channel, +-."""
+    seed: int = 0
+    """Of the noise, for the whole batch."""
+
+    def draw_noise(self, shape: Sequence[int], device: torch.device) -> Tensor:
+        """Draw the batch's noise; the same numbers for the same shape and kind of device."""
+        generator = torch.Generator(device=device).manual_seed(self.seed)
+        return torch.rand(shape, generator=generator, device=device).mul_(2).sub_(1).mul_(self.noise)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What one image shows of faces: N covered pixels, E entries, a sparse matrix pixels x faces (CSR)."""
+
+    height: int
+    width: int
+    pixels: Int64[Tensor, " N"]
+    """Flat index y * W + x, ascending."""
+    coverage: Float32[Tensor, " N"]
+    """Share of the pixel that the body covers, in (0, 1]."""
+    specular: Float32[Tensor, " N"]
+    """Highlight, the same in all channels."""
+    crow: Int64[Tensor, " N1"]
+    """N + 1 row offsets."""
+    face: Int64[Tensor, " E"]
+    weight: Float32[Tensor, " E"]
+    """Factor of the face's colour: its share of the pixel times its light."""
+    uv: Float32[Tensor, "2 E"] | None = None
+    """Where bodies have textures: texture coordinates at the centre of the visible part of the triangle in the pixel;
+    there is an entry for each triangle of a face then."""
+
+    @staticmethod
+    def join(parts: Sequence[View]) -> View:
+        """Join the bands of a view, from top to bottom."""
+        if len(parts) == 1:
+            return parts[0]
+        first = [0, *itertools.accumulate(len(part.face) for part in parts)]
+        crow = torch.cat([part.crow[i > 0 :] + first[i] for i, part in enumerate(parts)])
+        cat = lambda name: torch.cat([getattr(part, name) for part in parts], -1)
+        names = ("pixels", "coverage", "specular", "face", "weight", *(() if parts[0].uv is None else ("uv",)))
+        return replace(parts[0], crow=crow, **{name: cat(name) for name in names})
+
+    @cached_property
+    def box(self) -> tuple[int, int, int, int]:
+        """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
+        mask = torch.zeros(self.height * self.width, dtype=torch.bool, device=self.pixels.device)
+        mask[self.pixels[self.coverage >= 0.5]] = True
+        return box_of(mask.view(self.height, self.width))
+
+
+@dataclass(frozen=True, eq=False)
+class BakedView:
+    """A view in which all but the logo's colours is a constant base image: N covered pixels.
+
+    Pixels are ordered by what a render does with them: first the M that the logo touches, then, up to `front_count`,
+    the others that the background shows through, then the rest.
+    """
+
+    height: int
+    width: int
+    pixels: Int64[Tensor, " N"]
+    coverage: Float32[Tensor, " N"]
+    base_color: Float32[Tensor, "3 N"]
+    """What other faces, the highlight or the photograph add to each pixel; not clamped."""
+    front_count: int
+    logo_crow: Int64[Tensor, " M1"]
+    """M + 1 row offsets of the logo's matrix, logo pixels x logo faces."""
+    logo_face: Int64[Tensor, " E"]
+    """Position in the list of logo faces, 0 .. L - 1."""
+    logo_weight: Float32[Tensor, " E"]
+    logo_count: int
+    """L."""
+    light_color: Vector
+    """Scales the logo's colours."""
+    box: Box
+    """The person's true box, which detections are compared with."""
+    mask: Bool[Tensor, "H W"] | None = None
+    """The person's pixels, where they are known better than by coverage."""
+    provenance: Mapping[str, object] = field(default_factory=dict)
+    """Where the view is from: photograph, person, angle and the like, for tables of results."""
+
+    @property
+    def base(self) -> Float32[Tensor, "N 3"]:
+        """`base_color` pixel by pixel."""
+        return self.base_color.T
+
+    @property
+    def logo_pixels(self) -> int:
+        """M."""
+        return len(self.logo_crow) - 1
+
+    @property
+    def logo_rows(self) -> Int64[Tensor, " M"]:
+        """Rows of `pixels` that the logo touches: the first M."""
+        return torch.arange(self.logo_pixels, device=self.pixels.device)
+
+    @cached_property
+    def arrays(self) -> list[np.ndarray]:
+        """Pixels, coverage, base_color and the logo's matrix (row offsets, faces, weights) for loops; same memory."""
+        return arrays(self.pixels, self.coverage, self.base_color, self.logo_crow, self.logo_face, self.logo_weight)
+
+    @cached_property
+    def transposed(self) -> tuple[Int64[Tensor, " L1"], Int64[Tensor, " E"], Float32[Tensor, " E"]]:
+        """The logo's matrix transposed, faces x logo pixels: row offsets, logo pixel, weight."""
+        row = torch.repeat_interleave(self.logo_crow.diff(), output_size=len(self.logo_face))
+        order = torch.argsort(self.logo_face, stable=True)
+        crow = offsets(self.logo_face, self.logo_count)
+        return crow, row.index_select(0, order), self.logo_weight.index_select(0, order)

@@ -1,0 +1,65 @@
+"""List the triangles of one view, clipped to the near plane and the guard band (Sutherland-Hodgman).
+
+Clipping is done in view space, float64. Triangles that share an edge stay watertight: they cut it in the same point.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float64, Int32, Int64
+from torch import Tensor
+
+from cloak_core.core.view import Cull, FlatTriangles, Screen
+from cloak_core.core.visibility.screen import GRID, GUARD, snap
+from cloak_core.core.visibility.torch.polygons import cut
+
+
+def clip(
+    corners: Float64[Tensor, "3 xyz=3 N"],
+    focal: Float64[Tensor, " N"],
+    near: Float64[Tensor, " N"],
+    width: int,
+    height: int,
+) -> tuple[Int32[Tensor, "3 M"], Int32[Tensor, "3 M"], Float64[Tensor, "3 M"], Int64[Tensor, " M"]]:
+    """Cut triangles given in view space to what lies before the near plane and inside the guard band.
+
+    Returns x, y and inverse depth of the corners of M snapped triangles (none, one or several for each), and the index
+    of the triangle each is a part of.
+    """
+    polygon, size = cut(corners, corners[:, 2] - near)
+    for axis, center in ((0, width / 2), (1, height / 2)):
+        reach = GUARD / GRID - center  # the guard band is centred on the image's corner, the view on its middle
+        for sign in (1.0, -1.0):
+            polygon, now = cut(polygon, polygon[:, axis] * focal * sign + polygon[:, 2] * reach)
+            size = torch.minimum(now, size * len(polygon))  # what was nothing stays that
+    part = torch.arange(1, len(polygon) - 1, device=corners.device).unsqueeze(-1)
+    fan, owner = (part < size - 1).nonzero(as_tuple=True)
+    fan = fan + 1
+    pieces = torch.stack([polygon[corner, :, owner] for corner in (torch.zeros_like(fan), fan, fan + 1)])
+    x, y = snap(pieces.unbind(-1), focal[owner], near[owner], width, height)
+    return x, y, near[owner] / pieces[..., 2], owner
+
+
+def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int, cull: Cull = None) -> FlatTriangles:
+    """List the triangles of one view, without those behind its near plane.
+
+    Parts of clipped triangles come last and keep their triangle's id.
+    """
+    x, y, inverse_depth = (t[view] for t in (screen.x, screen.y, screen.inverse_depth))
+    ids = torch.arange(triangles.shape[1], device=x.device)
+    one_sided = torch.zeros_like(ids, dtype=torch.bool) if cull is None else cull[view].to(x.device).expand(len(ids))
+    if screen.in_guard_band is None:
+        return FlatTriangles(x, y, inverse_depth, triangles, ids, one_sided)
+    whole = screen.in_guard_band[view][triangles].all(0)
+    ahead = (screen.view[2][view] >= screen.near[view])[triangles].any(0)
+    crossing = (ahead & ~whole).nonzero().view(-1)
+    corners = torch.stack([axis[view][triangles[:, crossing]] for axis in screen.view], 1)
+    focal, near = (t[view].expand(len(crossing)) for t in (screen.focal, screen.near))
+    *parts, owner = clip(corners, focal, near, screen.width, screen.height)
+    corner = torch.arange(len(x), len(x) + 3 * len(owner), device=x.device).view(3, -1)
+    return FlatTriangles(
+        *(torch.cat([one, part.view(-1)]) for one, part in zip((x, y, inverse_depth), parts, strict=True)),
+        torch.cat([triangles[:, whole], corner], 1),
+        torch.cat([ids[whole], crossing[owner]]),
+        torch.cat([one_sided[whole], one_sided[crossing[owner]]]),
+    )

@@ -1,0 +1,68 @@
+"""Hashes of edges, which tell boundary edges (edges of a single triangle) from shared ones.
+
+Overlap depth changes only at boundary edges. The hash is antisymmetric, h(a, b) = -h(b, a): contributions of
+neighbouring triangles cancel. So where the sum over the edges that cross a pixel is 0, every point of the pixel lies in
+equally many triangles: if the areas also add up to 1, nothing overlaps and nothing is left open.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloak_core.core.visibility.compiled import inner, loop
+
+WHOLE = 1e-6
+"""Shares that add up to 1 within this fill the pixel once where all edges are shared: else they add up to 0 or 2."""
+_MIX = 0x2545F4914F6CDD1D
+_OTHER = 0x1B873593CC9E2D51
+_START = 0x5851F42D4C957F2D
+"""With this no place inside the guard band hashes to 0, which would tell nothing."""
+
+
+@loop
+def hash_corners(x, y):
+    """Hash every corner twice [2, K], by its place and not its index: seams of a mesh are closed, too."""
+    hashes = np.empty((2, len(x)), np.int64)
+    for i in range(len(x)):
+        key = _START ^ (np.int64(y[i]) << 32) ^ x[i]
+        hashes[0, i], hashes[1, i] = _first(key), _second(key)
+    return hashes
+
+
+@inner
+def edge_hash(hashes, a, b):
+    """Compute the antisymmetric hash of the edge from corner a to corner b."""
+    return hashes[0, a] * hashes[1, b] - hashes[0, b] * hashes[1, a]
+
+
+@inner
+def edge_sum(x, y, hashes, a, b, c, twice, at):
+    """Sum the hashes of a triangle's edges that may cross the inside of a cell (column, row, size as a shift)."""
+    turn = -1 if twice > 0 else 1
+    return turn * (_edge(x, y, hashes, a, b, at) + _edge(x, y, hashes, b, c, at) + _edge(x, y, hashes, c, a, at))
+
+
+@inner
+def _edge(x, y, hashes, a, b, at):
+    return edge_hash(hashes, a, b) if may_cross(x, y, a, b, at) else np.int64(0)
+
+
+@inner
+def may_cross(x, y, a, b, at):
+    """Test whether the box of an edge reaches into a cell."""
+    column, row, shift = at
+    left, top, side = column << shift, row << shift, 1 << shift
+    across = (max(x[a], x[b]) > left) & (min(x[a], x[b]) < left + side)
+    return across & (max(y[a], y[b]) > top) & (min(y[a], y[b]) < top + side)
+
+
+@inner
+def _first(key):
+    key = (key ^ (key >> 29)) * np.int64(_MIX)
+    return key ^ (key >> 32)
+
+
+@inner
+def _second(key):
+    key = (key ^ (key >> 31)) * np.int64(_OTHER)
+    return key ^ (key >> 30)

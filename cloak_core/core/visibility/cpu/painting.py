@@ -1,0 +1,172 @@
+"""Bodies composited over backgrounds, and the logo into its pixels and back, as numba loops.
+
+View by view, without intermediate arrays. Images' pixels are rows [P, 3] of a canvas; the last takes what leaves them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int64, Integer
+from torch import Tensor
+
+from cloak_core.core.view import BakedView, Photometric
+from cloak_core.core.visibility.compiled import arrays, loop
+
+Shifts = Integer[Tensor, "B 2"]
+ZERO, ONE = np.float32(0), np.float32(1)
+
+
+def draw_bodies(
+    views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None, change: Photometric | None
+) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
+    """See `Backend.draw_bodies`."""
+    count = sum(view.logo_pixels for view in views)
+    base, target = torch.empty(count, 3), torch.empty(count, dtype=torch.int64)
+    moves = [(0, 0)] * len(views) if shifts is None else shifts.tolist()
+    contrast, brightness = np.ones(len(views), np.float32), np.zeros(len(views), np.float32)
+    if change is not None:
+        contrast, brightness = arrays(change.contrast, change.brightness)
+    noise = _noise(views, change)
+    all_rows, all_base, all_target = arrays(rows, base, target)
+    for image, (view, own) in enumerate(zip(views, _logo_parts(views), strict=True)):
+        _draw(
+            *(*view.arrays[:3], contrast[image], brightness[image], noise[image]),
+            *(image, view.width, view.height, *moves[image], all_rows, all_base[own], all_target[own]),
+        )
+    return base, target
+
+
+def _noise(views: Sequence[BakedView], change: Photometric | None) -> list[np.ndarray]:
+    """Draw noise [N, 3] for each view, empty where there is none.
+
+    Drawn at once and dealt out as torch/painting.py does: the logo's pixels of all views, those at edges, the rest.
+    """
+    if change is None or not change.noise:
+        return [np.empty((0, 3), np.float32)] * len(views)
+    sizes = [view.logo_pixels for view in views] + [view.front_count - view.logo_pixels for view in views]
+    sizes += [len(view.pixels) - view.front_count for view in views]
+    drawn = change.draw_noise((sum(sizes), 3), views[0].pixels.device).split(sizes)
+    return [torch.cat(drawn[image :: len(views)]).numpy() for image in range(len(views))]
+
+
+def _logo_parts(views: Sequence[BakedView]) -> Iterator[slice]:
+    """Yield where each view's logo pixels stand among those of all."""
+    stop = 0
+    for view in views:
+        start, stop = stop, stop + view.logo_pixels
+        yield slice(start, stop)
+
+
+@dataclass(frozen=True, eq=False)
+class LogoMatrix:
+    """The sparse matrix from the logo's colours to its pixels in B images."""
+
+    blocks: list[tuple[list[np.ndarray], slice]]
+    """For each image: row offsets, faces and weights, and where its pixels stand among all."""
+
+    def paint(
+        self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """See `backend.LogoMatrix`."""
+        passes = torch.empty(len(target), dtype=torch.uint8)
+        all_colors, all_base, all_target, all_passes, all_rows = arrays(colors, base, target, passes, rows)
+        for image, (matrix, own) in enumerate(self.blocks):
+            these = all_colors[image] if all_colors.ndim == 3 else all_colors
+            _paint(*matrix, these, all_base[own], all_target[own], all_rows, all_passes[own])
+        return passes, target
+
+    def gradient(
+        self, kept: tuple[Tensor, Tensor], upstream: Float32[Tensor, "B 3 H W"], shape: Sequence[int]
+    ) -> Float32[Tensor, "*B L 3"]:
+        """See `backend.LogoMatrix`."""
+        images, _, height, width = upstream.shape
+        pixel_step, channel_step = 1, height * width
+        if upstream.is_contiguous(memory_format=torch.channels_last):
+            upstream, pixel_step, channel_step = upstream.permute(0, 2, 3, 1), 3, 1
+        result = torch.zeros(shape)
+        passes, target, numbers, total = arrays(*kept, upstream.reshape(images, -1), result)
+        for image, (matrix, own) in enumerate(self.blocks):
+            part = total[image] if total.ndim == 3 else total
+            first = image * height * width
+            _add_gradient(*matrix, passes[own], target[own], first, numbers[image], pixel_step, channel_step, part)
+        return result
+
+
+def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
+    """See `Backend.logo_matrix`."""
+    return LogoMatrix([(view.arrays[3:], own) for view, own in zip(views, _logo_parts(views), strict=True)])
+
+
+@loop
+def _draw(
+    pixels, coverage, base_color, contrast, brightness, noise, image, width, height, right, down, rows, base, target
+):  # fmt: skip
+    """Composite one body; the first len(base) pixels, the logo's, without the logo, go into `base`."""
+    noisy, logo, lost, plane = len(noise) > 0, len(base), len(rows) - 1, width * height
+    start = stop = moved = 0
+    for n in range(len(pixels)):
+        pixel, share = pixels[n], coverage[n]
+        if pixel < start or pixel >= stop:
+            # Rarely: most pixels lie in the same row of the image as the one before. Divisions are slow.
+            start = pixel // width * width
+            stop, moved = start + width, start + down * width
+        x = pixel - start + right
+        row = image * plane + moved + x if 0 <= x < width and 0 <= moved < plane else lost
+        red = base_color[0, n] * contrast + brightness * share
+        green = base_color[1, n] * contrast + brightness * share
+        blue = base_color[2, n] * contrast + brightness * share
+        if noisy:
+            red, green, blue = red + noise[n, 0] * share, green + noise[n, 1] * share, blue + noise[n, 2] * share
+        if share < ONE:
+            beside = ONE - share
+            red, green, blue = red + rows[row, 0] * beside, green + rows[row, 1] * beside, blue + rows[row, 2] * beside
+        if n < logo:
+            base[n, 0], base[n, 1], base[n, 2], target[n] = red, green, blue, row
+        else:
+            rows[row, 0], rows[row, 1], rows[row, 2] = _clamped(red), _clamped(green), _clamped(blue)
+
+
+@loop
+def _paint(crow, face, weight, colors, base, target, rows, passes):
+    """Draw one image's logo. Bit c of `passes`: channel c passes a gradient, as it is seen and not clamped."""
+    lost = len(rows) - 1
+    for m in range(len(target)):
+        row = target[m]
+        red, green, blue = base[m, 0], base[m, 1], base[m, 2]
+        for entry in range(crow[m], crow[m + 1]):
+            share, f = weight[entry], face[entry]
+            red += share * colors[f, 0]
+            green += share * colors[f, 1]
+            blue += share * colors[f, 2]
+        shown_red, shown_green, shown_blue = _clamped(red), _clamped(green), _clamped(blue)
+        rows[row, 0], rows[row, 1], rows[row, 2] = shown_red, shown_green, shown_blue
+        same = (shown_red == red) * 1 | (shown_green == green) * 2 | (shown_blue == blue) * 4
+        passes[m] = 0 if row == lost else same
+
+
+@loop
+def _add_gradient(crow, face, weight, passes, target, first, upstream, pixel_step, channel_step, result):
+    """Add one image's share. Row `first` is the image's first pixel; `upstream` holds all numbers of the image."""
+    for m in range(len(target)):
+        passing = passes[m]
+        if passing == 0:
+            continue
+        at = (target[m] - first) * pixel_step
+        red = upstream[at] if passing & 1 else ZERO
+        green = upstream[at + channel_step] if passing & 2 else ZERO
+        blue = upstream[at + 2 * channel_step] if passing & 4 else ZERO
+        for entry in range(crow[m], crow[m + 1]):
+            share, f = weight[entry], face[entry]
+            result[f, 0] += share * red
+            result[f, 1] += share * green
+            result[f, 2] += share * blue
+
+
+@loop
+def _clamped(value):
+    """Clamp to [0, 1]; NaN stays NaN."""
+    return min(max(value, ZERO), ONE)

@@ -1,0 +1,148 @@
+"""Bodies composited over backgrounds, and the logo into its pixels and back, in torch.
+
+There are few operations, and none waits for the device.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from jaxtyping import Bool, Float32, Int64, Integer
+from torch import Tensor
+
+from cloak_core.core.view import BakedView, Photometric
+from cloak_core.core.visibility.sparse import csr
+
+Shifts = Integer[Tensor, "B 2"]
+
+
+def draw_bodies(
+    views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None, change: Photometric | None
+) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
+    """See `Backend.draw_bodies`."""
+    height, width = views[0].height, views[0].width
+    # The logo's pixels of all views first, then those at whose edge the background shows, then the rest.
+    parts = [
+        (i, start, stop)
+        for bounds in (lambda v: (0, v.logo_pixels), lambda v: (v.logo_pixels, v.front_count),
+                       lambda v: (v.front_count, len(v.pixels)))
+        for i, (start, stop) in enumerate(map(bounds, views))
+    ]  # fmt: skip
+    pixel = _cat([views[i].pixels[start:stop] for i, start, stop in parts])
+    image = torch.cat([pixel.new_full((stop - start,), i) for i, start, stop in parts])
+    target = pixel + image * (height * width)
+    if shifts is not None:
+        target, lost = _shifted(pixel, image, shifts.to(pixel), width, height)
+        target.masked_fill_(lost, len(rows) - 1)
+    front, logo = sum(view.front_count for view in views), sum(view.logo_pixels for view in views)
+    coverage = _cat([views[i].coverage[start:stop] for i, start, stop in parts])[:front].unsqueeze(1)
+    body = torch.cat([views[i].base_color[:, start:stop].T for i, start, stop in parts])
+    if change is not None:
+        body = _changed(body, image, coverage, change)
+    body[:front] += rows.index_select(0, target[:front]).mul_(1 - coverage)
+    # One number at a time: torch is twice as fast at that as at rows of three.
+    rows.view(-1).scatter_(0, _numbers(target[logo:]), body[logo:].clamp_(0, 1).view(-1))
+    return body[:logo].clone(), target[:logo].clone()
+
+
+@dataclass(frozen=True, eq=False)
+class LogoMatrix:
+    """The sparse matrix from the logo's colours to its pixels in B images, and its transpose for the gradient."""
+
+    forward: Tensor
+    """CSR [M, B * L]."""
+    backward: Tensor
+    """CSR [B * L, M], its transpose."""
+    images: int
+    """B."""
+
+    def paint(
+        self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """See `backend.LogoMatrix`."""
+        body = torch.addmm(base, self.forward, colors.expand(self.images, -1, -1).reshape(-1, 3))
+        values = body.clamp(0, 1)
+        rows.view(-1).scatter_(0, _numbers(target), values.view(-1))
+        silent = (values != body).logical_or_((target == len(rows) - 1).unsqueeze(1))
+        return silent, target.clamp(max=len(rows) - 2)
+
+    def gradient(
+        self, kept: tuple[Tensor, Tensor], upstream: Float32[Tensor, "B 3 H W"], shape: Sequence[int]
+    ) -> Float32[Tensor, "*B L 3"]:
+        """See `backend.LogoMatrix`."""
+        silent, target = kept
+        if upstream.is_contiguous(memory_format=torch.channels_last):
+            own = upstream.permute(0, 2, 3, 1).view(-1, 3).index_select(0, target)
+        else:
+            plane = upstream.shape[2] * upstream.shape[3]
+            first = target + torch.div(target, plane, rounding_mode="floor") * (2 * plane)
+            channel = torch.arange(3, device=target.device) * plane
+            own = upstream.reshape(-1).index_select(0, (first.unsqueeze(1) + channel).view(-1)).view(-1, 3)
+        result = (self.backward @ own.masked_fill_(silent, 0)).view(self.images, -1, 3)
+        return result.sum_to_size(shape).view(shape)
+
+
+def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
+    """See `Backend.logo_matrix`: the views' matrices as the blocks of one."""
+    count = views[0].logo_count
+    starts = _starts([view.logo_pixels for view in views])
+    faces = [view.logo_face + i * count if i else view.logo_face for i, view in enumerate(views)]
+    forward = _csr([v.logo_crow for v in views], faces, [v.logo_weight for v in views], count * len(views))
+    flipped = [view.transposed for view in views]
+    columns = [t[1] + start if start else t[1] for t, start in zip(flipped, starts, strict=False)]
+    backward = _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], starts[-1])
+    return LogoMatrix(forward, backward, len(views))
+
+
+def _shifted(
+    pixel: Tensor, image: Tensor, shifts: Tensor, width: int, height: int
+) -> tuple[Int64[Tensor, " N"], Bool[Tensor, " N"]]:
+    """Shift pixels by their image's (dx, dy): their rows, and which of them left the image."""
+    plane = height * width
+    right = shifts[:, 0].index_select(0, image)
+    # Looked up: a division of 64-bit integers takes four times as long.
+    x = _columns(height, width, pixel.device).index_select(0, pixel).add_(right)
+    moved = (shifts[:, 1] * width).index_select(0, image).add_(pixel)
+    lost = (x < 0).logical_or_(x >= width).logical_or_(moved < 0).logical_or_(moved >= plane)
+    return moved.add_(right).add_(image, alpha=plane), lost
+
+
+@lru_cache(maxsize=4)
+def _columns(height: int, width: int, device: torch.device) -> Int64[Tensor, " P"]:
+    """Compute the column of each pixel of an image."""
+    return torch.arange(width, device=device).repeat(height)
+
+
+def _changed(
+    body: Float32[Tensor, "N 3"], image: Int64[Tensor, " N"], coverage: Float32[Tensor, "K 1"], change: Photometric
+) -> Float32[Tensor, "N 3"]:
+    """Apply the changes to the body's own pixels, weighted by coverage as they are."""
+    added = change.brightness.index_select(0, image).unsqueeze(1).expand_as(body).contiguous()
+    if change.noise:
+        added += change.draw_noise(body.shape, body.device)
+    added[: len(coverage)] *= coverage
+    return torch.addcmul(added, body, change.contrast.index_select(0, image).unsqueeze(1))
+
+
+def _numbers(row: Int64[Tensor, " N"]) -> Int64[Tensor, " N3"]:
+    """Positions of the three numbers of each row."""
+    return (row.unsqueeze(1) * 3 + torch.arange(3, device=row.device)).view(-1)
+
+
+def _starts(sizes: Sequence[int]) -> list[int]:
+    return [0, *itertools.accumulate(sizes)]
+
+
+def _cat(tensors: Sequence[Tensor]) -> Tensor:
+    return tensors[0] if len(tensors) == 1 else torch.cat(list(tensors), -1)
+
+
+def _csr(crows: Sequence[Tensor], columns: Sequence[Tensor], values: Sequence[Tensor], width: int) -> Tensor:
+    """Join blocks below each other to one sparse matrix; columns are already those of the whole."""
+    starts = _starts([len(column) for column in columns])
+    crow = _cat([crow[1:] + start if i else crow for i, (crow, start) in enumerate(zip(crows, starts, strict=False))])
+    return csr(crow, _cat(columns), _cat(values), (len(crow) - 1, width))

@@ -1,1 +1,0 @@
-"""Detectors hardened against cloaks: adversarial fine-tuning, without labels."""

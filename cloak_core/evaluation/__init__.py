@@ -1,1 +1,0 @@
-"""How well a cloak works: rates, controls, intervals, experiments, reports."""

@@ -1,1 +1,0 @@
-"""What comes out: print sheets, textured bodies, a logo on another topology."""

@@ -1,0 +1,143 @@
+"""The patches of a chart from its photograph: find the marks, undo perspective and the fall of the light."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from cloak_core.core.pictures import open_picture
+from cloak_core.files.errors import InputError
+from cloak_core.products.calibration.chart import (
+    MARKS,
+    paper_spots,
+    patch_centres,
+    patch_colors,
+    patch_size,
+)
+from cloak_core.sources.bodies.meshes.mesh_file import to_linear, to_srgb
+
+MOST_PIXELS = 1600
+"""Of the longer side of the picture in which the marks are looked for."""
+LEAST_PATCH = 5.0
+"""Pixels: a smaller patch shows its neighbours' colours."""
+LIKENESS = 0.7
+"""Correlation between the lightness sent and seen under which this is not the chart."""
+CORE = 9 / 24
+"""Area of a mark's inner square over that of its ring."""
+
+
+def read_photograph(path: Path) -> Float[np.ndarray, "352 3"]:
+    """Read the patches' colours as photographed, sRGB in [0, 1], in the chart's order. InputError: no chart."""
+    from PIL import ImageOps
+
+    with open_picture(path) as picture:
+        pixels = np.asarray(ImageOps.exif_transpose(picture).convert("RGB"), np.float32) / 255
+    way = _place_chart(pixels, path)
+    corner, opposite = (
+        _projected(way, patch_centres()[:1] - patch_size() / 2),
+        _projected(way, patch_centres()[:1] + patch_size() / 2),
+    )
+    if np.abs(opposite - corner).min() < LEAST_PATCH:
+        raise InputError(f"{path}: the chart's patches are under {LEAST_PATCH:g} pixels; photograph it from nearer")
+    seen = to_linear(_means(pixels, way, patch_centres(), patch_size() * 0.6))
+    paper = to_linear(_means(pixels, way, paper_spots(), patch_size() * 0.1)).mean(axis=1)
+    return to_srgb((seen / _light(paper)[:, None]).clip(0, 1))
+
+
+def _light(paper: Float[np.ndarray, " spots"]) -> Float[np.ndarray, " patches"]:
+    """Fit the light on each patch, over its mean: a smooth surface (quadratic in log) through the paper."""
+    known, wanted = (_powers(spots) for spots in (paper_spots(), patch_centres()))
+    fitted = np.linalg.lstsq(known, np.log(np.maximum(paper, 1e-3)), rcond=None)[0]
+    light = np.exp(wanted @ fitted)
+    return light / light.mean()
+
+
+def _powers(spots: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 6"]:
+    x, y = ((spots - patch_centres().mean(axis=0)) / 0.1).T
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+
+
+def _place_chart(pixels: Float[np.ndarray, "h w 3"], path: Path) -> Float[np.ndarray, "3 3"]:
+    """Find the map from the sheet's metres to the picture's pixels, whichever way up it lies."""
+    marks = _marks(pixels.mean(axis=2))
+    if len(marks) < 4:
+        raise InputError(f"{path}: {len(marks)} of the chart's four marks are to be seen")
+    lightness = patch_colors().mean(axis=1)
+    best, best_way = -1.0, np.eye(3)
+    for four in itertools.combinations(marks[:8], 4):
+        corners = np.array(four)
+        around = corners - corners.mean(axis=0)
+        # Rows of a picture run downwards: counter-clockwise on the sheet is against the angle here.
+        corners = corners[np.argsort(-np.arctan2(around[:, 1], around[:, 0]))]
+        for turn in range(4):
+            way = _homography(MARKS, np.roll(corners, turn, axis=0))
+            if way is None:
+                continue
+            seen = _pixels_at(pixels, _projected(way, patch_centres())).mean(axis=1)
+            likeness = float(np.corrcoef(lightness, seen)[0, 1]) if seen.std() > 0 else -1.0
+            if likeness > best:
+                best, best_way = likeness, way
+    if best < LIKENESS:
+        raise InputError(f"{path}: what lies between the marks is not the chart of `cloak calibrate --chart`")
+    return best_way
+
+
+def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
+    """Find what may be marks, (x, y) in pixels, the best first: a dark ring about a dark square of the same centre."""
+    step = max(1, -(-max(grey.shape) // MOST_PIXELS))
+    height, width = (extent // step * step for extent in grey.shape)
+    small = grey[:height, :width].reshape(height // step, step, width // step, step).mean(axis=(1, 3))
+    around = ndimage.uniform_filter(small, max(small.shape) // 8)
+    label, count = ndimage.label(small < 0.7 * around, structure=np.ones((3, 3)))
+    numbers = np.arange(1, count + 1)
+    area = ndimage.sum_labels(np.ones_like(small), label, numbers)
+    numbers, area = numbers[area >= 9], area[area >= 9]
+    centres = np.array(ndimage.center_of_mass(np.ones_like(small), label, numbers)).reshape(-1, 2)
+    found = []
+    for ring in np.argsort(-area):
+        side = np.sqrt(area[ring] * 49 / 24)
+        near = np.flatnonzero(np.linalg.norm(centres - centres[ring], axis=1) < 0.12 * side)
+        for core in near[near != ring]:
+            ratio = area[core] / area[ring] / CORE
+            if 0.5 < ratio < 2 and side < max(small.shape) / 4:
+                # The core's centre: light that spills over an edge moves it least.
+                y, x = (centres[core] + 0.5) * step - 0.5
+                found.append((abs(np.log(ratio)), (float(x), float(y))))
+    return [place for _, place in sorted(found)]
+
+
+def _homography(start: Float[np.ndarray, "4 2"], end: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "3 3"] | None:
+    """Find the projective map from four points to four others; None where three lie on a line."""
+    rows = []
+    for (x, y), (u, v) in zip(start, end, strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+    matrix = np.array(rows)
+    if np.linalg.cond(matrix) > 1e12:
+        return None
+    return np.append(np.linalg.solve(matrix, end.ravel()), 1).reshape(3, 3)
+
+
+def _projected(way: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    moved = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ way.T
+    return moved[:, :2] / moved[:, 2:]
+
+
+def _means(
+    pixels: Float[np.ndarray, "h w 3"], way: np.ndarray, centres: Float[np.ndarray, "n 2"], extent: np.ndarray
+) -> Float[np.ndarray, "n 3"]:
+    """Average the colour of each rectangle about these places of the sheet."""
+    steps = np.linspace(-0.5, 0.5, 11)
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) * extent
+    places = _projected(way, (centres[:, None] + offsets).reshape(-1, 2))
+    return _pixels_at(pixels, places).reshape(len(centres), -1, 3).mean(axis=1)
+
+
+def _pixels_at(pixels: Float[np.ndarray, "h w 3"], places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    """Take the pixels nearest to these places (x, y), at the picture's edge where they leave it."""
+    height, width = pixels.shape[:2]
+    x, y = np.nan_to_num(places).round().astype(np.int64).T
+    return pixels[y.clip(0, height - 1), x.clip(0, width - 1)].astype(np.float64)

@@ -1,1 +1,0 @@
-"""From geometry to images: visibility, shading, cached views, compositing."""

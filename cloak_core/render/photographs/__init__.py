@@ -1,1 +1,0 @@
-"""People in photographs as views: faces laid onto their clothes."""

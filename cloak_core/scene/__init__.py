@@ -1,1 +1,0 @@
-"""What is in front of the camera: bodies, logos, cameras, backgrounds."""

@@ -1,1 +1,0 @@
-"""What is behind the bodies: photographs and procedural scenes."""

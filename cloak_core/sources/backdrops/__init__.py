@@ -1,0 +1,1 @@
+"""Backgrounds without people."""

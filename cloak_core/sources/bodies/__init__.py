@@ -1,0 +1,1 @@
+"""Bodies: meshes, people, motions, logos; posed before a camera they are a source of views."""

@@ -1,0 +1,110 @@
+"""The user's Blender, in a process of its own: where it is, and files that only it reads (Alembic, USD, FBX, .blend).
+
+Cloak itself never imports it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_npz, read_text
+from cloak_core.sources.bodies.meshes.mesh_file import MeshFile, to_srgb
+from cloak_core.sources.bodies.meshes.pictures import with_pictures
+
+ROOT = Path(__file__).resolve().parents[3]
+ADD_ON = ROOT / "blender_addon"
+# The bpy package may wait for ever at a regular exit.
+PROBE = "import os, bpy; os._exit(0)"
+IN_BACKGROUND = ("-b", "--factory-startup", "-P")
+
+
+def find_blender() -> list[str] | None:
+    """Find a command that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
+    named = os.environ.get("CLOAK_BLENDER")
+    if named and Path(named).name.startswith("blender"):
+        return [named, *IN_BACKGROUND]
+    python = find_bpy()
+    if python:
+        return [python]
+    blender = shutil.which("blender")
+    return [blender, *IN_BACKGROUND] if blender else None
+
+
+def find_bpy() -> str | None:
+    """Find a Python that has the bpy package, first the one that $CLOAK_BLENDER names; None where there is none."""
+    named = os.environ.get("CLOAK_BLENDER")
+    places = [named] if named and not Path(named).name.startswith("blender") else []
+    places += [sys.executable] if importlib.util.find_spec("bpy") else []
+    places += [str(place) for place in sorted(ROOT.glob(".venv-blender*/bin/python"))]
+    return next(filter(_has_bpy, places), None)
+
+
+def bpy_version(python: str) -> str:
+    """Read Blender's version in such a Python, such as "4.2.0"."""
+    script = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0)"
+    said = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=60, check=True).stdout
+    return said.strip().splitlines()[-1]
+
+
+def _has_bpy(python: str) -> bool:
+    try:
+        return subprocess.run([python, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
+
+SUFFIXES = (".abc", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".blend")
+SCRIPT = Path(__file__).with_name("inside.py")
+
+
+def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
+    """Read all visible meshes of a file as one, at its first frame or at `frames` > 0 moments of its animation.
+
+    Raises `InputError` where there is no Blender, where it cannot read the file, and for the frame whose topology
+    differs from the first one's.
+    """
+    command = find_blender()
+    if command is None:
+        raise InputError(
+            f"{path}: {path.suffix} files are read through Blender, and there is none: put one on the path, name it in "
+            "CLOAK_BLENDER, or pip install bpy"
+        )
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "mesh.npz"
+        environment["BLENDER_USER_RESOURCES"] = folder
+        arguments = [str(SCRIPT), "--", str(path.resolve()), str(frames), str(out)]
+        done = subprocess.run([*command, *arguments], capture_output=True, text=True, env=environment, check=False)
+        reason = out.with_name("mesh.npz.error")
+        if reason.exists():
+            raise InputError(f"{path}: {read_text(reason, MAX_TEXT_BYTES)}")
+        if done.returncode or not out.exists():
+            last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["it said nothing"]
+            raise InputError(f"{path}: Blender could not read it ({last[0]})")
+        return mesh_of(path, read_npz(out))
+
+
+def mesh_of(path: Path, arrays: dict[str, np.ndarray]) -> MeshFile:
+    """Build the mesh that the script wrote, with its pictures as one."""
+    pictures = [arrays[f"picture_{n}"] for n in range(sum(key.startswith("picture_") for key in arrays) - 1)]
+    loop_total, corner_uv, picture_of = (arrays[key].astype(float) for key in ("loop_total", "corner_uv", "picture_of"))
+    loop_total, picture_of = loop_total.astype(np.int64), picture_of.astype(np.int64)
+    has_uv = bool(np.isfinite(corner_uv).all())
+    mesh = MeshFile(
+        poses=arrays["poses"],
+        loop_total=loop_total,
+        loop_vertices=arrays["loop_vertices"].astype(np.int64),
+        face_colors=to_srgb(arrays["linear_colors"]),
+        uv=corner_uv if has_uv else None,
+        loop_uv=np.arange(len(corner_uv)) if has_uv else None,
+    )
+    return with_pictures(path, mesh, pictures, picture_of, corner_uv)

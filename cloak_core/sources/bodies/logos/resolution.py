@@ -1,0 +1,86 @@
+"""How large faces are in the picture, and which subdivision level that calls for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from cloak_core.core.cameras import Camera
+from cloak_core.core.geometry import sum_by_face
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+
+# Square pixels: below the first a face hardly moves a pixel; above the second it is a visible cell of plain colour.
+FINE, COARSE = 0.1, 8.0
+MAX_LEVEL = 2
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Projected areas, in square pixels, of the faces that look at the camera (hidden or not)."""
+
+    faces: int
+    """How many of the faces asked for look at the camera."""
+    median: float
+    smallest_tenth: float
+    largest_tenth: float
+    """10th and 90th percentile."""
+    under_fine: float
+    """Share of faces under 0.1 px^2."""
+    level: int
+    """Subdivision level (0 to 2) that this picture calls for."""
+    hint: str
+    """The same in words."""
+
+
+def projected_areas(bodies: Bodies, camera: Camera, pose: int = 0) -> Float[np.ndarray, " faces"]:
+    """Compute the screen area of every face in square pixels, as if nothing hid it; backs count nothing."""
+    points = bodies.vertices[pose].astype(np.float64)
+    pivot = camera.pivot or tuple((points.min(axis=0) + points.max(axis=0)) / 2)
+    right, up, back = (np.array(axis) for axis in camera.axes)
+    offset = points - camera.position(pivot)
+    depth = -(offset @ back)
+    if depth.min() <= camera.near_plane:
+        raise InputError(f"camera distance {camera.distance}: parts of the body lie behind the camera")
+    screen = np.stack([offset @ right, offset @ up], axis=1) * (camera.focal / depth)[:, None]
+    a, b, c = screen[bodies.triangles].transpose(1, 0, 2)
+    area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    return sum_by_face(bodies, np.maximum(area, 0))
+
+
+def resolution(
+    bodies: Bodies, camera: Camera | None = None, face_ids: Integer[np.ndarray, " logo"] | None = None
+) -> Resolution:
+    """Report on a logo's faces (default: the whole body's) as a camera (default: training's) sees the first pose."""
+    camera = camera or Camera()
+    areas = projected_areas(bodies, camera)
+    areas = areas if face_ids is None else areas[face_ids]
+    areas = areas[areas > 0]
+    if not len(areas):
+        raise InputError("no face looks at the camera")
+    tenth, median, most = np.percentile(areas, [10, 50, 90])
+    # Each level makes a face a quarter as large; it pays as long as that leaves most faces above the fine limit.
+    level = next((n for n in range(MAX_LEVEL) if median / 4**n <= COARSE or median / 4 ** (n + 1) <= FINE), MAX_LEVEL)
+    return Resolution(
+        faces=len(areas),
+        median=float(median),
+        smallest_tenth=float(tenth),
+        largest_tenth=float(most),
+        under_fine=float((areas < FINE).mean()),
+        level=level,
+        hint=hint(median, float((areas < FINE).mean()), level, camera),
+    )
+
+
+def hint(median: float, under_fine: float, level: int, camera: Camera) -> str:
+    """Describe a picture with these areas in plain words."""
+    where = f"at distance {camera.distance:g}, {camera.width} x {camera.height} pixels"
+    if under_fine > 0.5:
+        return f"most faces are under {FINE:g} px² {where}: level 1 gains nothing, a coarser mesh would do"
+    if level:
+        return f"the median face is {median:.3g} px² {where}: level {level} makes it {median / 4**level:.2g} px²"
+    return (
+        f"the median face is {median:.2g} px² {where}: level 0 is fine enough, level 1 would make it {median / 4:.2g}"
+    )

@@ -1,0 +1,212 @@
+"""Views of a scene, built once and kept.
+
+A view is one pose seen by one camera: for each covered pixel, the weights of the faces' colours. Baking a view
+for a logo folds all else into a constant base image; rendering a baked view is a sparse product (compositing.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Float64
+from torch import Tensor
+
+from cloak_core.core.baking import bake
+from cloak_core.core.cameras import Camera, Vector
+from cloak_core.core.geometry import outward_parts
+from cloak_core.core.view import BakedView, Fragments, Screen, Surface, View, Visibility, Window
+from cloak_core.core.visibility.backend import backend
+from cloak_core.core.visibility.normals import NormalOperator
+from cloak_core.core.visibility.projection import project
+from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, merge_samples, rasterize, row_bands
+from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.core.visibility.threads import one_thread, spread, workers
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.caching import MemoryCache
+from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.view_files import StoredViews
+
+BAND_SAMPLES = {"cpu": 1 << 21, "cuda": 1 << 25}
+"""Samples of a view held at once; more on the CPU leave its caches and take longer."""
+
+Key = tuple[int, Camera]
+"""A pose and a camera."""
+
+
+class ViewCache:
+    """Builds views of bodies and keeps the latest ones, up to a budget of memory.
+
+    Raises `InputError` for a pose or an outfit that the scene does not have.
+    """
+
+    def __init__(self, bodies: Bodies, settings: RenderSettings | None = None) -> None:
+        self.bodies, self.settings = bodies, settings or RenderSettings()
+        self.device = torch.device(self.settings.device)
+        # A copy, always: torch takes no read-only arrays.
+        put = lambda array, dtype: torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=self.device)
+        self._colors = put(bodies.face_colors, torch.float32)
+        images = [bodies.texture_of(outfit) for outfit in range(bodies.outfit_count)]
+        self._textures = [None if image is None else put(image, torch.uint8) for image in images]
+        textured = any(image is not None for image in images)
+        split = not textured and not np.array_equal(bodies.triangle_face, np.arange(bodies.triangle_count))
+        self._surface = Surface(
+            put(bodies.triangles.T, torch.int64),
+            put(bodies.triangle_face, torch.int64),
+            put(bodies.uv[bodies.triangle_uv].T, torch.float32) if textured else None,
+            self.settings.light,
+            by_face=split,
+        )
+        self._normals = NormalOperator(self._surface.triangles, bodies.vertex_count)
+        self._outward = outward_parts(bodies)
+        self._kept = MemoryCache(self.settings.memory_bytes)
+        files, recipe = self.settings.files, self.settings.recipe
+        self._stored = None if files is None else StoredViews(files, bodies, recipe, textured, self.device)
+
+    def view(self, pose: int, camera: Camera) -> View:
+        """Return the view, from memory or the files where it was built before."""
+        return self.views([(pose, camera)])[0]
+
+    def views(self, wanted: Sequence[Key]) -> list[View]:
+        """Many views; those not built before are built together."""
+        found = {key: self._find(*key) for key in wanted}
+        new = [key for key, view in found.items() if view is None]
+        for key, view in zip(new, self.build(new) if new else [], strict=True):
+            found[key] = self._kept.put(("view", *key), view)
+            if self._stored is not None:
+                self._stored.put(*key, view)
+        return [found[key] for key in wanted]
+
+    def _find(self, pose: int, camera: Camera) -> View | None:
+        view = self._kept.get(("view", pose, camera))
+        if view is None and self._stored is not None:
+            view = self._stored.get(pose, camera)
+            return None if view is None else self._kept.put(("view", pose, camera), view)
+        return view
+
+    def bake(self, pose: int, camera: Camera, logo_faces: object, outfit: int = 0) -> BakedView:
+        """Bake everything but the logo's colours (faces [L], int64) into the view, in one of the outfits."""
+        faces = np.ascontiguousarray(logo_faces, np.int64)
+        key = ("baked", pose, camera, outfit, faces.tobytes())
+        baked = self._kept.get(key)
+        if baked is None:
+            if not 0 <= outfit < self.bodies.outfit_count:
+                raise InputError(f"outfit {outfit}: the scene has {self.bodies.outfit_count}")
+            view = self.view(pose, camera)
+            logo = torch.from_numpy(faces).to(self.device)
+            colors, texture = self._colors[outfit], self._textures[outfit]
+            baked = self._kept.put(key, bake(view, logo, colors, self.settings.light.color, texture))
+        return baked
+
+    def build(self, wanted: Sequence[Key]) -> list[View]:
+        """Rasterize and light views, without keeping them: one by one, so that memory is that of one.
+
+        On the CPU, torch's threads share the views, or the one view's rows.
+        """
+        count = self._workers(len(wanted))
+        if len(wanted) == 1:
+            with one_thread():
+                return [self._build(wanted[0], count)]
+        self._load_poses(wanted)
+        return spread(self._build, wanted, count)
+
+    def _build(self, key: Key, count: int = 1) -> View:
+        screen, light = self.screen([key]), self._view_space_light(*key)
+        way = backend(self.device)
+        lit = lambda band: way.build_view(self._band(key, screen, band), screen, self._surface, *light)
+        return View.join(spread(lit, self._bands(screen, count), count))
+
+    def screen(self, wanted: Sequence[Key]) -> Screen:
+        """Project the views' vertices to the screen."""
+        with one_thread():
+            poses = [self._pose(pose) for pose, _ in wanted]
+            only = len(poses) == 1
+            vertices = poses[0].vertices.unsqueeze(0) if only else torch.stack([pose.vertices for pose in poses])
+            pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, wanted, strict=True)]
+            return project(vertices, [camera for _, camera in wanted], pivots)
+
+    def visibility(self, wanted: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
+        """Find the nearest triangle at every sample."""
+        with one_thread():
+            return rasterize(screen, self._surface.triangles, self.settings.grid, self.cull(wanted, screen), window)
+
+    def visible(self, wanted: Sequence[Key]) -> list[Visibility] | list[Fragments]:
+        """Find what is visible, unlit, in parts: samples, or where coverage is measured by area, fragments."""
+        self._load_poses(wanted)
+        count = self._workers(len(wanted))
+        share = count if len(wanted) == 1 else 1
+        screens = [(key, self.screen([key])) for key in wanted]
+        bands = [(key, screen, band) for key, screen in screens for band in self._bands(screen, share)]
+        find = self._band if self.settings.by_area else lambda key, *where: self.visibility([key], *where)
+        return spread(lambda part: find(*part), bands, count)
+
+    def _workers(self, views: int) -> int:
+        """Choose how many CPU threads share the work.
+
+        A view of few samples is quicker on one thread than on two that wait for each other's Python.
+        """
+        return 1 if views == 1 and self.settings.samples in (1, 4) else workers(self.device)
+
+    def cull(self, wanted: Sequence[Key], screen: Screen) -> Bool[Tensor, "B T"]:
+        """Mark triangles whose back faces are dropped: those of closed surfaces that face outwards.
+
+        Not in views where the near plane cuts bodies open.
+        """
+        cull = torch.from_numpy(self._outward[[pose for pose, _ in wanted]])
+        if screen.in_guard_band is not None:
+            cull &= (screen.view[2] >= screen.near).all(1, keepdim=True).cpu()
+        return cull
+
+    def _load_poses(self, wanted: Sequence[Key]) -> None:
+        """Prepare the poses, before several threads ask for them at once."""
+        for pose, _ in wanted:
+            self._pose(pose)
+
+    def _bands(self, screen: Screen, count: int) -> list[Window]:
+        """Cut one view's window into bands for `count` threads, each of no more samples than are held at once."""
+        window = bounding_window(screen)
+        rows = max(1, window.y1 - window.y0)
+        if not self.settings.by_area:  # areas are cut further by the pixels that triangles touch
+            most = BAND_SAMPLES.get(self.device.type, BAND_SAMPLES["cpu"])
+            rows = max(1, most // max(1, (window.x1 - window.x0) * self.settings.grid**2))
+        cut = lambda band: [replace(band, y0=y, y1=min(y + rows, band.y1)) for y in range(band.y0, band.y1, rows)]
+        return [part for band in row_bands(screen, window, count) for part in cut(band)] or [window]
+
+    def _band(self, key: Key, screen: Screen, window: Window) -> Fragments:
+        if self.settings.by_area:
+            return area_fragments(screen, self._surface.triangles, self.cull([key], screen), window)
+        return merge_samples(self.visibility([key], screen, window))
+
+    def _view_space_light(
+        self, pose_index: int, camera: Camera
+    ) -> tuple[Float32[Tensor, "3 V"], Float32[Tensor, " 3"]]:
+        """Rotate vertex normals and the light's position into the view's space."""
+        pose, (right, up, back) = self._pose(pose_index), camera.axes
+        axes = (right, up, tuple(-b for b in back))
+        position = camera.position(camera.pivot or pose.center)
+        offset = [a - b for a, b in zip(self.settings.light.position, position, strict=True)]
+        light = [sum(a * o for a, o in zip(axis, offset, strict=True)) for axis in axes]
+        rotation, light = (torch.tensor(t, dtype=torch.float32).to(self.device) for t in (axes, light))
+        return rotation @ pose.normals, light
+
+    def _pose(self, index: int) -> _Pose:
+        pose = self._kept.get(("pose", index))
+        if pose is None:
+            if not 0 <= index < self.bodies.pose_count:
+                raise InputError(f"pose {index}: the scene has {self.bodies.pose_count}")
+            own = self.bodies.vertices[index]
+            vertices = torch.from_numpy(own.T.astype(np.float64)).to(self.device).contiguous()
+            low, high = own.min(0, initial=np.inf), own.max(0, initial=-np.inf)
+            center = tuple(((low.astype(np.float64) + high) / 2).tolist()) if vertices.shape[1] else (0.0, 0.0, 0.0)
+            pose = self._kept.put(("pose", index), _Pose(vertices, self._normals(vertices), center))
+        return pose
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    vertices: Float64[Tensor, "3 V"]
+    normals: Float32[Tensor, "3 V"]
+    center: Vector
+    """Of the bounding box."""

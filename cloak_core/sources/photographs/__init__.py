@@ -1,0 +1,1 @@
+"""People in photographs: read, fitted, and dressed; a source of views."""

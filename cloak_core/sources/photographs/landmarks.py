@@ -1,0 +1,96 @@
+"""Body landmarks of people in photographs, COCO's 17 or BlazePose's 33, as one set of joints."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from cloak_core.files.errors import InputError
+from cloak_core.sources.photographs.masks import numbers
+
+JOINTS = ("nose", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "heel", "toe", "hand")
+NAMES = tuple(f"{side}_{joint}" if joint != "nose" else joint for joint in JOINTS for side in "lr")[1:]
+"""nose, l_ear, r_ear, ...: l is the person's own left; hand is the index finger's first joint."""
+INDEX = {name: number for number, name in enumerate(NAMES)}
+BLAZEPOSE = (0, 7, 8, 11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 19, 20)
+COCO = (0, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16)
+LIMBS = tuple(INDEX[f"{side}_{joint}"] for joint in ("shoulder", "hip", "knee", "ankle") for side in "lr")
+"""Without these nobody can be dressed."""
+SEEN = 0.3
+"""Visibility from which a landmark counts as seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Where a person's joints are, in the order of `NAMES`."""
+
+    xy: Float[np.ndarray, "21 2"]
+    """Pixels."""
+    depth: Float[np.ndarray, " 21"] | None
+    """Pixels towards the camera, against the hips; None where the source tells none (COCO)."""
+    visibility: Float[np.ndarray, " 21"]
+    """0 (a guess) to 1; 0 also for what the source does not have."""
+
+    def moved(self, origin: tuple[float, float], scale: float) -> Landmarks:
+        """The landmarks in a picture cropped at `origin` and then resized by `scale`."""
+        depth = None if self.depth is None else self.depth * scale
+        return Landmarks((self.xy - np.asarray(origin)) * scale, depth, self.visibility)
+
+
+def read_landmarks(annotation: dict, what: str) -> Landmarks | None:
+    """The landmarks of a COCO annotation ("blazepose" or "keypoints"); None where it has none.
+
+    `InputError` names `what` for lists of another length and for numbers that are none.
+    """
+    if annotation.get("blazepose"):
+        return _from_blazepose(annotation["blazepose"], f"{what}: blazepose")
+    keypoints = annotation.get("keypoints")
+    if not keypoints:
+        return None
+    points = numbers(keypoints, f"{what}: keypoints")
+    if points.size != 51:
+        raise InputError(f"{what}: {points.size} numbers of keypoints, COCO has 17 of three (x, y, visibility)")
+    points = points.reshape(17, 3)
+    if not points[:, 2].any():
+        return None
+    if points[:, 2].min() < 0 or points[:, 2].max() > 2:
+        raise InputError(
+            f"{what}: keypoints: visibility {points[:, 2].max():g}; the order is x, y, visibility (0 to 2)"
+        )
+    xy, visibility = np.zeros((len(NAMES), 2)), np.zeros(len(NAMES))
+    xy[: len(COCO)] = points[COCO, :2]
+    # COCO writes 1 for hidden and 2 for seen; pose estimators write their confidence in [0, 1].
+    known = points[COCO, 2]
+    visibility[: len(COCO)] = np.where(known > 1, 1.0, known * (0.5 if points[:, 2].max() > 1 else 1.0))
+    return Landmarks(xy, None, visibility)
+
+
+def _from_blazepose(given: dict, what: str) -> Landmarks:
+    if not isinstance(given, dict) or "xy" not in given:
+        raise InputError(f"{what}: no 'xy' in it")
+    xy = numbers(given["xy"], what)
+    if xy.size != 66:
+        raise InputError(f"{what}: {xy.size} numbers in 'xy', 33 landmarks have 66")
+    xy = xy.reshape(33, 2)[list(BLAZEPOSE)]
+    visibility = numbers(given.get("visibility") or [1.0] * 33, what)
+    world = numbers(given["world"], what) if given.get("world") else None
+    depth = numbers(given["z"], what) if given.get("z") else None
+    for name, array, count in (("visibility", visibility, 33), ("world", world, 99), ("z", depth, 33)):
+        if array is not None and array.size != count:
+            raise InputError(f"{what}: {array.size} numbers in '{name}', 33 landmarks have {count}")
+    if world is not None:
+        world = world.reshape(33, 3)[list(BLAZEPOSE)]
+        flat = world[:, :2] - world[:, :2].mean(axis=0)
+        size = np.linalg.norm(xy - xy.mean(axis=0)) / max(float(np.linalg.norm(flat)), 1e-9)
+        return Landmarks(xy, -world[:, 2] * size, visibility[list(BLAZEPOSE)])
+    return Landmarks(xy, None if depth is None else -depth[list(BLAZEPOSE)], visibility[list(BLAZEPOSE)])
+
+
+def is_upright(landmarks: Landmarks, height: float | int) -> bool:
+    """Whether shoulders, hips, knees and ankles follow each other downwards; `height`: the person's, pixels."""
+    pair = lambda joint: landmarks.xy[[INDEX[f"l_{joint}"], INDEX[f"r_{joint}"]]].mean(axis=0)[1]
+    levels = [pair(joint) for joint in ("shoulder", "hip", "knee", "ankle")]
+    return all(lower >= upper - 0.1 * height for upper, lower in itertools.pairwise(levels))

@@ -1,0 +1,226 @@
+"""A body posed to a person's landmarks: each limb turned and stretched so that its joints lie where the photograph
+has them, under an orthographic camera.
+
+View space: x to the right, y up, z towards the camera, all in pixels of the person's crop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from cloak_core.core.cameras import Number
+from cloak_core.sources.bodies.people.skeleton import smallest_turn, unit
+from cloak_core.sources.photographs.landmarks import INDEX, SEEN, Landmarks
+from cloak_core.sources.photographs.rig import SEGMENTS, Rig
+
+LENGTHS = (0.85, 1.2)
+"""How much shorter or longer than the rig's a limb may be before its depth gives way."""
+HIDDEN = 0.5
+"""Visibility below which an arm is taken to be behind the person."""
+FORWARD = np.array([0.0, 0.0, 1.0])
+LIMBS = {
+    "arm": ("shoulder", "elbow"),
+    "forearm": ("elbow", "wrist"),
+    "thigh": ("hip", "knee"),
+    "shin": ("knee", "ankle"),
+}
+_BENT = {"arm": 0.0, "forearm": 1.0, "thigh": 1.0, "shin": -1.0}
+"""Which way a limb leans where nobody tells its depth: forwards or backwards."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """What the fit makes of a person."""
+
+    transforms: Float[np.ndarray, "S 3 4"]
+    """Of each of `SEGMENTS`: rest metres -> view space."""
+    scale: Number
+    """Pixels per metre of the rig."""
+
+    def vertices(self, rig: Rig) -> Float[np.ndarray, "V 3"]:
+        """The rig's vertices in view space, by linear blend skinning."""
+        blended = np.einsum("vs,sab->vab", rig.weights, self.transforms)
+        return np.einsum("vab,vb->va", blended[:, :, :3], rig.vertices) + blended[:, :, 3]
+
+    def joint(self, rig: Rig, name: str, segment: str) -> Float[np.ndarray, " 3"]:
+        """Where a segment takes one of the rig's joints."""
+        transform = self.transforms[SEGMENTS.index(segment)]
+        return transform[:, :3] @ rig.joints[name] + transform[:, 3]
+
+
+def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None = None) -> Posed:
+    """Pose the rig's body to the landmarks.
+
+    widths: how much wider than the rig's each segment is, across its length (1 where absent).
+    """
+    widths = widths or {}
+    scale = _pixels_per_metre(landmarks, rig)
+    at = _joints_in_view(landmarks, rig, scale)
+    middle = lambda joint: (at[f"l_{joint}"] + at[f"r_{joint}"]) / 2
+    rest_middle = lambda joint: (rig.joints[f"l_{joint}"] + rig.joints[f"r_{joint}"]) / 2
+    found: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    turned: dict[str, np.ndarray] = {}
+    along = middle("shoulder") - middle("hip")
+    rest_along = rest_middle("shoulder") - rest_middle("hip")
+    for segment, joint in (("pelvis", "hip"), ("chest", "shoulder")):
+        across = at[f"l_{joint}"] - at[f"r_{joint}"]
+        rest_across = np.linalg.norm(rig.joints[f"l_{joint}"] - rig.joints[f"r_{joint}"])
+        ahead = unit(np.cross(across, along))
+        up = unit(along)
+        turned[segment] = np.stack([np.cross(up, ahead), up, ahead], axis=1)
+        width = widths.get(segment, 1.0)
+        columns = (across / rest_across * width, along / rest_along[1], ahead * scale * width)
+        found[segment] = (np.stack(columns, axis=1), middle(joint), rest_middle(joint))
+    for side in "lr":
+        parent = {"arm": "chest", "forearm": f"{side}_arm", "thigh": "pelvis", "shin": f"{side}_thigh"}
+        for limb, (start, end) in LIMBS.items():
+            name = f"{side}_{limb}"
+            rest = rig.joints[f"{side}_{end}"] - rig.joints[f"{side}_{start}"]
+            posed = at[f"{side}_{end}"] - at[f"{side}_{start}"]
+            turned[name] = smallest_turn(unit(turned[parent[limb]] @ rest), unit(posed)) @ turned[parent[limb]]
+            stretched = _stretch(
+                unit(rest), np.linalg.norm(posed) / np.linalg.norm(rest), scale * widths.get(name, 1.0)
+            )
+            found[name] = (turned[name] @ stretched, at[f"{side}_{start}"], rig.joints[f"{side}_{start}"])
+        hand, wrist = f"{side}_hand", f"{side}_wrist"
+        found[hand] = (_hand(landmarks, at, rig, side, turned[f"{side}_forearm"]) * scale, at[wrist], rig.joints[wrist])
+        foot = _foot(landmarks, at, side, turned["pelvis"], scale)
+        found[f"{side}_foot"] = (foot * scale, at[f"{side}_ankle"], rig.joints[f"{side}_ankle"])
+    found["head"] = _head(landmarks, at, rig, turned["chest"], found["chest"], scale)
+    transforms = np.zeros((len(SEGMENTS), 3, 4))
+    for number, segment in enumerate(SEGMENTS):
+        matrix, place, origin = found[segment]
+        transforms[number, :, :3], transforms[number, :, 3] = matrix, place - matrix @ origin
+    return Posed(transforms, scale)
+
+
+def seen_from(landmarks: Landmarks, rig: Rig) -> str:
+    """From where a photograph sees a person: "front", "side" or "back" of her chest, to within 45 degrees."""
+    chest = pose_to(landmarks, rig).transforms[SEGMENTS.index("chest")]
+    away = abs(np.degrees(np.arctan2(chest[0, 2], chest[2, 2])))
+    return "front" if away <= 45 else "back" if away >= 135 else "side"
+
+
+def _stretch(axis: np.ndarray, along: Number, across: Number) -> Float[np.ndarray, "3 3"]:
+    outer = np.outer(axis, axis)
+    return across * (np.eye(3) - outer) + along * outer
+
+
+def _pixels_per_metre(landmarks: Landmarks, rig: Rig) -> float:
+    """From the lengths of trunk and limbs: their median where depth is known, else nearly the largest of them."""
+    joints = {name: _view(landmarks, name) for name in INDEX}
+    ratios = []
+    for side in "lr":
+        for start, end in (*LIMBS.values(), ("hip", "shoulder")):
+            one, other = f"{side}_{start}", f"{side}_{end}"
+            if min(landmarks.visibility[INDEX[one]], landmarks.visibility[INDEX[other]]) < SEEN:
+                continue
+            rest = np.linalg.norm(rig.joints[one] - rig.joints[other])
+            ratios.append(np.linalg.norm(joints[one] - joints[other]) / rest)
+    return float(np.percentile(ratios, 50 if landmarks.depth is not None else 75))
+
+
+def _view(landmarks: Landmarks, name: str) -> Float[np.ndarray, " 3"]:
+    number = INDEX[name]
+    depth = 0.0 if landmarks.depth is None else landmarks.depth[number]
+    return np.array([landmarks.xy[number, 0], -landmarks.xy[number, 1], depth])
+
+
+def _joints_in_view(landmarks: Landmarks, rig: Rig, scale: Number) -> dict[str, Float[np.ndarray, " 3"]]:
+    """The joints' places, in the picture exactly the landmarks', with depths that give limbs possible lengths."""
+    seen = {name: _view(landmarks, name) for name in INDEX}
+    at: dict[str, np.ndarray] = {}
+    nose = seen["nose"][0] - (seen["l_shoulder"] + seen["r_shoulder"])[0] / 2
+    faces = 1.0 if seen["l_shoulder"][0] >= seen["r_shoulder"][0] else -1.0
+    tells_depth = landmarks.depth is not None
+    for joint in ("hip", "shoulder"):
+        left, right = f"l_{joint}", f"r_{joint}"
+        across = _with_length(
+            seen[left] - seen[right],
+            np.linalg.norm(rig.joints[left] - rig.joints[right]) * scale,
+            -np.sign(nose),
+            not tells_depth,
+        )
+        middle = (seen[left] + seen[right]) / 2
+        at[left], at[right] = middle + across / 2, middle - across / 2
+    for side in "lr":
+        for limb, (start, end) in LIMBS.items():
+            one, other = f"{side}_{start}", f"{side}_{end}"
+            rest = float(np.linalg.norm(rig.joints[one] - rig.joints[other]))
+            if landmarks.visibility[INDEX[other]] <= 0 and end in ("elbow", "wrist"):
+                at[other] = at[one] + np.array([0.0, -rest * scale, 0.0])  # hangs down, out of sight
+                continue
+            posed = _with_length(seen[other] - seen[one], rest * scale, _BENT[limb] * faces)
+            at[other] = at[one] + posed
+        if not tells_depth:
+            _bring_forward(at, side, faces, scale)
+        for joint in ("elbow", "wrist"):
+            # What the photograph does not show lies behind what it shows.
+            if landmarks.visibility[INDEX[f"{side}_{joint}"]] < HIDDEN:
+                at[f"{side}_{joint}"][2] = min(at[f"{side}_{joint}"][2], at["l_hip"][2], at["r_hip"][2]) - 0.25 * scale
+    return at
+
+
+def _with_length(vector: np.ndarray, length: Number, sign: Number, exact: bool = False) -> Float[np.ndarray, " 3"]:
+    """The vector with its depth changed so that it is as long as a limb can be; `sign`: of a depth not known."""
+    flat = np.linalg.norm(vector[:2])
+    least, most = (0.97, 1.2) if exact else LENGTHS
+    wanted = np.clip(np.linalg.norm(vector), least * length, most * length)
+    depth = np.sqrt(max(wanted**2 - flat**2, 0.0))
+    sign = np.sign(vector[2]) or sign
+    return np.array([vector[0], vector[1], sign * depth])
+
+
+def _bring_forward(at: dict[str, np.ndarray], side: str, faces: Number, scale: Number) -> None:
+    """A forearm that crosses the trunk lies before it, whoever measured no depth."""
+    left, right = sorted((at["l_shoulder"][0], at["r_shoulder"][0]))
+    for joint in ("elbow", "wrist"):
+        place = at[f"{side}_{joint}"]
+        if left < place[0] < right and place[1] > at["l_hip"][1]:
+            place[2] = max(place[2], 0.16 * scale) if faces > 0 else place[2] - 0.2 * scale
+
+
+def _head(
+    landmarks: Landmarks, at: dict, rig: Rig, chest: np.ndarray, torso: tuple, scale: Number
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turned to where the ears (or the nose) are, begun at the neck."""
+    matrix, place, origin = torso
+    neck = place + matrix @ (rig.joints["neck"] - origin)
+    known = [name for name in ("l_ear", "r_ear", "nose") if landmarks.visibility[INDEX[name]] >= SEEN]
+    known = known[:2] if len(known) == 3 else known
+    if not known:
+        return chest * scale, neck, rig.joints["neck"]
+    middle = np.mean([landmarks.xy[INDEX[name]] for name in known], axis=0)
+    towards = np.array([middle[0], -middle[1], neck[2]]) - neck
+    rest = rig.joints["head"] + np.array([0.0, 0.03, 0.02]) - rig.joints["neck"]
+    size = np.clip(np.linalg.norm(towards) / np.linalg.norm(rest), 0.8 * scale, 1.25 * scale)
+    return smallest_turn(unit(chest @ rest), unit(towards)) @ chest * size, neck, rig.joints["neck"]
+
+
+def _foot(landmarks: Landmarks, at: dict, side: str, pelvis: np.ndarray, scale: Number) -> Float[np.ndarray, "3 3"]:
+    """Turned to where heel and toes are; without them, ahead."""
+    heel, toe = INDEX[f"{side}_heel"], INDEX[f"{side}_toe"]
+    if min(landmarks.visibility[[heel, toe]]) < SEEN:
+        return pelvis
+    towards = _view(landmarks, f"{side}_toe") - _view(landmarks, f"{side}_heel")
+    if np.linalg.norm(towards) < 0.02 * scale:
+        return pelvis
+    return smallest_turn(pelvis @ FORWARD, unit(towards)) @ pelvis
+
+
+def _hand(landmarks: Landmarks, at: dict, rig: Rig, side: str, forearm: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """Turned to where the index finger is; without it, in line with the forearm."""
+    number = INDEX[f"{side}_hand"]
+    if landmarks.visibility[number] < HIDDEN:
+        return forearm
+    towards = (
+        np.array([landmarks.xy[number, 0], -landmarks.xy[number, 1], at[f"{side}_wrist"][2]]) - at[f"{side}_wrist"]
+    )
+    rest = rig.joints[f"{side}_wrist"] - rig.joints[f"{side}_elbow"]
+    if np.linalg.norm(towards) < 2:
+        return forearm
+    return smallest_turn(unit(forearm @ rest), unit(towards)) @ forearm

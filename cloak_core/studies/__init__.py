@@ -1,0 +1,1 @@
+"""What is asked of the core: each a list of trainings and measurements."""

@@ -1,0 +1,103 @@
+"""Bounds on a card's figures, for CI: which of them are broken, in words and as a JUnit file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import is_number, read_toml
+from cloak_core.files.writing import write_text
+from cloak_core.studies.card.leaderboard import is_too_short, name_of
+
+SIDES = ("min", "max")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The least or the most that a figure may be."""
+
+    figure: str
+    """Its place in card.json, joined by dots: "clean.recall_own", "white_box.20.success_own" (20 % of the body)."""
+    side: str
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.figure} {'>=' if self.side == 'min' else '<='} {self.value:g}"
+
+
+def read_gate(path: Path) -> list[Bound]:
+    """Read the tables [min] and [max] of a TOML file. InputError: anything else in it, or nothing."""
+    tables = read_toml(path)
+    if set(tables) - set(SIDES) or not all(isinstance(table, dict) for table in tables.values()):
+        raise InputError(f"{path}: expected the tables [min] and [max]; found {', '.join(tables)}")
+    found = [(figure, side, value) for side, table in tables.items() for figure, value in _flat(table)]
+    for figure, side, value in found:
+        if not is_number(value):
+            raise InputError(f"{path}: {side} {figure} is {value!r}, not a number")
+    if not found:
+        raise InputError(f"{path}: holds no bound; expected the tables [min] and [max]")
+    return [Bound(figure, side, float(value)) for figure, side, value in found]
+
+
+def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
+    """Say of each bound how the card breaks it, "" where it is kept.
+
+    A figure that the card lacks breaks its bound, and so does one that may be at most so much where the attack behind
+    it was too short to say so.
+    """
+    figures, said, short = dict(_flat(card)), {}, _short_attacks(card)
+    for bound in bounds:
+        value = figures.get(bound.figure)
+        kept = is_number(value) and (value >= bound.value if bound.side == "min" else value <= bound.value)
+        found = f"is {value:g}" if is_number(value) else "was not measured"
+        steps = next((n for place, n in short.items() if f"{bound.figure}.".startswith(f"{place}.")), None)
+        if kept and bound.side == "max" and steps:
+            kept, found = False, f"{found} after {steps} updates of the cloak, too few to say"
+        said[bound] = "" if kept else f"{name_of(card)}: {bound.figure} {found}; the gate asks for {bound}"
+    return said
+
+
+def _short_attacks(card: dict) -> dict[str, int]:
+    """Updates of the attacks that were too short, by the place of their figures."""
+    rows = {f"white_box.{_row_name(row, 0)}": row for row in card.get("white_box", [])}
+    rows |= {"around": card["around"], "circle": card["around"]} if card.get("around") else {}
+    return {place: row["steps"] for place, row in rows.items() if is_too_short(card, row)}
+
+
+def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:
+    """Write what `check` said of each detector as JUnit XML: a suite for each detector, a case for each bound."""
+    root = ElementTree.Element("testsuites", name="cloak assess")
+    for name, said in checked.items():
+        counts = {"tests": str(len(said)), "failures": str(sum(map(bool, said.values())))}
+        suite = ElementTree.SubElement(root, "testsuite", name=name, **counts)
+        for bound, words in said.items():
+            case = ElementTree.SubElement(suite, "testcase", classname=name, name=str(bound))
+            if words:
+                ElementTree.SubElement(case, "failure", message=words)
+    ElementTree.indent(root)
+    write_text(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+
+
+def _flat(value: object, place: str = "") -> Iterator[tuple[str, object]]:
+    """Walk through nested tables and lists: (place joined by dots, value).
+
+    Rows of a list go by their name, or the share of the body that was asked for in per cent, or their index.
+    """
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list):
+        items = ((_row_name(row, k), row) for k, row in enumerate(value))
+    else:
+        yield place, value
+        return
+    for key, inner in items:
+        yield from _flat(inner, f"{place}.{key}" if place else str(key))
+
+
+def _row_name(row: object, index: int) -> str:
+    if isinstance(row, dict) and "asked" in row:
+        return f"{100 * row['asked']:g}"
+    return str(row["name"]) if isinstance(row, dict) and "name" in row else str(index)

@@ -1,0 +1,173 @@
+"""A card as one HTML page that opens offline, and several side by side; from card.json and the pictures beside it.
+
+The pictures show the worst of what an assessment saw, chosen by rule.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pandas as pd
+from markupsafe import Markup
+
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.results import NOBODY
+from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_text, written
+from cloak_core.studies.card import leaderboard, words
+from cloak_core.studies.card.leaderboard import markdown_rows, read_card, worn_rows
+from cloak_core.studies.report import page, plots
+from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
+from cloak_core.studies.store import RunStore, Trained
+
+CARD = "card.html"
+SHOWN = 4
+"""Pictures of a kind."""
+SIDES = {"front": 0.0, "back": 180.0}
+Shown = Mapping[str, tuple[Trained, tuple[float, ...], dict]]
+"""By part: a cloak, the test azimuths and the evaluation settings it was judged with."""
+
+
+def write_card(folder: Path) -> Path:
+    """Write card.html, card.md (a leaderboard's line) and model_card.md (for model hubs) from what FOLDER holds.
+
+    FOLDER holds card.json and, where there are pictures, pictures.json.
+    """
+    card = read_card(folder / "card.json")
+    pictures = read_json(folder / "pictures.json") if (folder / "pictures.json").exists() else {}
+    write_text(folder / "card.md", "\n".join(markdown_rows([card])) + "\n")
+    write_text(folder / "model_card.md", model_card(card))
+    shown = _pictures(card, pictures, folder / "pictures")
+    rows = (card.get("photographs") or {}).get("rows", {})
+    values = {
+        "card": card,
+        "words": words,
+        "board": leaderboard,
+        "picture": next((pairs[0] for pairs in shown["hidden"].values()), None),
+        "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
+        "figures": _figures(plots.card_figures, card),
+        "pictures": shown,
+        "size": card["counts"]["size"],
+        "text": json.dumps({key: card[key] for key in ("counts", "materials", "made")}, indent=2),
+    }
+    return page.write_page(folder / CARD, "card.html", values)
+
+
+def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
+    """Write one page that compares the cards in these folders, named by their keys; it links to each one's own page."""
+    cards = [read_card(folder / "card.json") | {"label": name} for name, folder in folders.items()]
+    links = [Path(os.path.relpath(folder / CARD, path.parent)).as_posix() for folder in folders.values()]
+    heads, rows = leaderboard.leaderboard_table(cards)
+    values = {
+        "title": "Robustness cards",
+        "words": words,
+        "cards": list(zip(cards, links, strict=True)),
+        "heads": heads,
+        "rows": rows,
+        "figures": _figures(plots.comparison_figures, cards),
+        "mixed": len({(card["budget"], card["made"]["seed"]) for card in cards}) > 1,
+    }
+    return page.write_page(path, "compare.html", values)
+
+
+def model_card(card: dict) -> str:
+    """Write the card as a model hub reads it: YAML front matter (`model-index`) and the sentences below it."""
+    figures = {"recall": card["clean"]["recall_own"], "ap50": card["clean"]["ap50"]}
+    figures |= {f"hidden at {row['asked']:.0%} of the body": row["success_own"] for row in card["white_box"]}
+    figures |= {f"hidden in photographs, {name}": row["success_own"] for name, row in worn_rows(card).items()}
+    dataset = {"name": f"Cloak protocol {card['protocol']}, {card['budget']}", "type": "cloak"}
+    metrics = [{"type": name, "name": name, "value": value} for name, value in figures.items()]
+    result = {"task": {"type": "object-detection"}, "dataset": dataset, "metrics": metrics}
+    index = [{"name": leaderboard.name_of(card), "results": [result]}]
+    front = {"pipeline_tag": "object-detection", "tags": ["person-detection", "robustness"], "model-index": index}
+    lines = [f"{key}: {json.dumps(value)}" for key, value in front.items()]  # JSON is YAML, too
+    said = [words.headline(card), words.lede(card), words.advice(card), "Not tested:"]
+    untested = "\n".join(f"- {line}" for line in words.not_tested(card))
+    table = "\n".join(markdown_rows([card]))
+    head = "\n".join(["---", *lines, "---"])
+    return "\n\n".join([head, f"# {leaderboard.name_of(card)}", table, *said, untested]) + "\n"
+
+
+def _figures(draw: Callable[..., dict], what: object) -> dict[str, Markup]:
+    with page.page_style():
+        return {name: page.svg(figure) for name, figure in draw(what).items()}
+
+
+def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
+    """Prepare for the template what pictures.json tells, with the pictures as data."""
+    shot = lambda part, told: page.shot(folder / place_of(part), [card["spec"]], told)
+    hidden = pictures.get("hidden", {})
+    parts = _parts_with_pairs(card, hidden)
+    pair = lambda part, told: dict(told, own=shot(part, told["clothing"]), worn=shot(part, told["logo"]))
+    cloaks = [(told, folder / place_of(told["part"])) for told in pictures.get("cloaks", [])]
+    return {
+        "hidden": {part: [pair(part, told) for told in hidden[part]] for part in parts},
+        "missed": [dict(told, shot=shot("clean", told["clothing"])) for told in pictures.get("missed", [])],
+        "alarms": [dict(told, shot=shot("clean", told["bare"])) for told in pictures.get("alarms", [])],
+        "cloaks": [told | {side: page.data_uri(place / told[side]) for side in SIDES} for told, place in cloaks],
+    }
+
+
+def _parts_with_pairs(card: dict, hidden: Mapping[str, Sequence]) -> list[str]:
+    """Choose the parts whose hidden bodies are shown: the smallest cloak that hides anybody, else the zoo's first one;
+    and the circle. `hidden` has what is hidden in each part."""
+    areas = [f"area {row['asked']:.0%}" for row in card["white_box"]]
+    zoo = [f"zoo {row['name']}" for row in card["black_box"]["zoo"]]
+    smallest = next((part for part in (*areas, *zoo) if hidden.get(part)), "circle")
+    return [part for part in dict.fromkeys((smallest, "circle")) if hidden.get(part)]
+
+
+# --- the pictures beside a card
+
+
+def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> dict:
+    """Write pictures into `folder` (replacing what is there) and return what they show, ready for JSON.
+
+    `missed`: own clothing, the lowest scores not above the detector's own threshold; `hidden`: by part of the attack,
+    where the page shows it, cloaked bodies that it does not report though it is surest of them in own clothing;
+    `alarms`: bare scenes with the surest false alarms; `cloaks`: the cloaks themselves, from the front and from behind.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    with written(folder):
+        folder.mkdir(parents=True)
+    spec, own, detectors = card["spec"], card["operating_point"], store.split.detectors
+    found: dict = {"missed": [], "alarms": [], "hidden": {}, "cloaks": []}
+    results = {part: store.evaluate([worn], angles, **settings) for part, (worn, angles, settings) in shown.items()}
+    trials = {part: hidden_trials(results[part].rows(spec, LOGO), own) for part in shown if part != "clean"}
+    paired = _parts_with_pairs(card, trials)
+    for part, (worn, angles, settings) in shown.items():
+        renderer = store.renderer(worn, angles, store.evaluate_settings(**settings))
+        place = folder / place_of(part)
+        place.mkdir()
+        if part == "clean":
+            rows, bare = results[part].rows(spec, CLOTHING), results[part].rows(spec, NOBODY)
+            for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
+                shots = draw_trial(place, renderer, trial, (CLOTHING,), detectors, own)
+                found["missed"].append(describe(renderer, trial) | shots)
+            for index in first_by(bare[~hidden(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
+                shot = write_shot(place / f"bare-{index:05d}.jpg", renderer.bare([index]), detectors, own)
+                found["alarms"].append({"background": renderer.background_names[index], "bare": shot})
+        else:
+            if part in paired:
+                found["hidden"][part] = [draw_pair(place, renderer, trial, detectors, own) for trial in trials[part]]
+            flat = {side: write_flat(place, side, renderer.flat_view(angle, 320)) for side, angle in SIDES.items()}
+            found["cloaks"].append({"part": part} | flat)
+    return found
+
+
+def hidden_trials(rows: pd.DataFrame, own: float) -> list[int]:
+    """Choose the hidden images whose person is found most surely in own clothing, of different bodies if possible."""
+    gone = rows[hidden(rows, own) & (rows["clean"] > own).to_numpy()]
+    gone = gone.sort_values("clean", ascending=False, kind="stable")
+    repeated = gone["pose"].duplicated()
+    return [*gone["image"][~repeated], *gone["image"][repeated]][:SHOWN]
+
+
+def place_of(part: str) -> str:
+    """Name the folder of a part's pictures."""
+    return part.replace(" ", "-").replace("%", "")

@@ -1,0 +1,198 @@
+"""Check detectors on clean images before they are attacked: recall, false alarms, agreement with the original.
+
+Of a detector behind masks also the certified recall: people whom one small patch cannot hide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from cloak_core.core.cameras import Camera
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation.measure import batches, measure
+from cloak_core.core.evaluation.renderer import BodyRenderer, EvaluationRenderer, Indices, render_images
+from cloak_core.core.evaluation.results import NOBODY
+from cloak_core.core.evaluation.settings import WearSettings
+from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.core.evaluation.trials import make_trials
+from cloak_core.core.logo import make_logo
+from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.detectors.check import read_image
+from cloak_core.detectors.defended.masks import Masks
+from cloak_core.detectors.verification.kit import framed, natural_size, verify
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import SUFFIXES, Backgrounds, load_backgrounds
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import People
+from cloak_core.studies.cloaked import Cloaked
+from cloak_core.studies.wearing.renderer import PeopleRenderer
+
+SHIFT = (50, 20)
+"""The body is moved by up to this many pixels, right or left and up or down: it stays in the picture."""
+SIZE = 416
+BATCH = 16
+
+
+def check_scene(
+    detector: Detector,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    angles: Sequence[float],
+    *,
+    images_per_view: int = 6,
+    seed: int = 0,
+) -> dict:
+    """Measure recall on clean renders, and false alarms on bare backgrounds.
+
+    Every body in its first outfit, at every angle (azimuths, degrees; distance 2.2, elevation 6), before
+    `images_per_view` backgrounds drawn at random, moved by up to `SHIFT` pixels. Returns {"clean_recall",
+    "false_alarms": at 0.6, "clean_recall_own", "false_alarms_own": at the detector's "operating_point",
+    "operating_point_assumed": nobody said which that is, "n": renders, "backgrounds": bare backgrounds,
+    "alarms": the names and best scores of backgrounds above either threshold, the worst first}, and `certified_recall`.
+    """
+    if not len(angles):
+        raise InputError("--angles: none given")
+    rng = np.random.default_rng(seed)
+    pose = np.repeat(np.arange(bodies.pose_count), len(angles) * images_per_view)
+    angle = np.tile(np.repeat(np.asarray(angles, np.float32), images_per_view), bodies.pose_count)
+    camera = Camera(width=SIZE, height=SIZE)
+    background = rng.integers(len(backgrounds), size=len(pose))
+    shift = np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1)
+    trials = make_trials(pose, angle, camera.elevation, camera.distance, background, shift)
+    view_cache = ViewCache(bodies, RenderSettings(device=detector.device))
+    renderer = _clean_renderer(bodies, backgrounds, trials, camera, view_cache)
+    told, bare = _check(detector, renderer, "score", np.arange(len(backgrounds)))
+    own = detector.operating_point
+    loudest = bare[(bare["score"] > min(THRESHOLD, own)).to_numpy()].sort_values(
+        "score", ascending=False, kind="stable"
+    )
+    alarms = zip(loudest["background"], loudest["score"], strict=True)
+    return told | {
+        "false_alarms": _found(bare, THRESHOLD),
+        "false_alarms_own": _found(bare, own),
+        "backgrounds": len(backgrounds),
+        "alarms": [{"background": backgrounds.names[i], "score": round(float(score), 4)} for i, score in alarms],
+    }
+
+
+def check_people(detector: Detector, people: People) -> dict:
+    """Measure recall on people in photographs as they are, in the crops of `cloak wear`.
+
+    Returns {"clean_recall": share with a box on them above 0.6, "clean_recall_own", "operating_point",
+    "operating_point_assumed", "n": people}, and `certified_recall`.
+    """
+    renderer = PeopleRenderer(fit_people(people), (), load_backgrounds("procedural:test:1"), WearSettings())
+    return _check(detector, renderer, "score_on")[0]
+
+
+def _check(
+    detector: Detector, renderer: EvaluationRenderer, column: str, bare: Indices = ()
+) -> tuple[dict, pd.DataFrame]:
+    """Measure own clothing; return recall by this column of the results, and the rows of bare backgrounds."""
+    spec, own = detector.spec, detector.operating_point
+    results = measure(renderer, {spec: detector}, (CLOTHING,), bare, batch=BATCH)
+    rows = results.rows(spec, CLOTHING)
+    told = {"clean_recall": _found(rows, THRESHOLD, column), "clean_recall_own": _found(rows, own, column)}
+    told |= {"operating_point": own, "operating_point_assumed": detector.operating_point_assumed, "n": len(rows)}
+    return told | certified_recall(detector, renderer, THRESHOLD), results.rows(spec, NOBODY)
+
+
+def _found(rows: pd.DataFrame, threshold: float, column: str = "score") -> float:
+    return float((~hidden(rows, threshold, column)).mean())
+
+
+@torch.no_grad()
+def certified_recall(detector: Detector, renderer: EvaluationRenderer, threshold: float) -> dict:
+    """Certify the people of a renderer against one patch (`detectors.defended.masks`).
+
+    Returns {"certified_recall": share of images in which the answer under every mask has a box on the person above
+    `threshold`, "certified_recall_own", "patch": side in pixels}; {} for a detector that is not `masked=...`.
+    """
+    masks = getattr(detector, "defence", None)
+    if not isinstance(masks, Masks):
+        return {}
+    floor = []  # the best score on each person, the least over all masks
+    for batch in batches(np.arange(len(renderer.trials)), BATCH):
+        views = renderer.views(batch)
+        (images,) = renderer.compose(views, batch, (CLOTHING,))
+        told = [renderer.about_person(found, views, batch) for found in masks.answers(detector.inner, images)]
+        floor.append(torch.stack([renderer.on_person(found, views, batch).person for found in told]).amin(0))
+    kept = [float((torch.cat(floor) > t).double().mean()) for t in (threshold, detector.operating_point)]
+    return {"certified_recall": kept[0], "certified_recall_own": kept[1], "patch": masks.patch}
+
+
+def clean_renders(count: int, size: tuple[int, int]) -> UInt8[Tensor, "B 3 H W"]:
+    """Render the unseen sample bodies as bytes, (height, width) `size`.
+
+    In all their outfits, from all around, 1.6 to 4 m away, before procedural scenes.
+    """
+    bodies, backgrounds = sample_bodies("unseen"), load_backgrounds("procedural:test", size)
+    rng = np.random.default_rng([0, 0xC1EA])
+    angle, distance = rng.uniform(-180, 180, count), rng.uniform(1.6, 4, count)
+    background, outfit = rng.integers(len(backgrounds), size=count), rng.integers(len(bodies.face_colors), size=count)
+    pose, shift = np.arange(count) % bodies.pose_count, np.zeros((count, 2))
+    trials = make_trials(pose, angle, 6, distance, background, shift, outfit)
+    view_cache = ViewCache(bodies, RenderSettings(memory_bytes=0))  # no view comes twice
+    renderer = _clean_renderer(bodies, backgrounds, trials, Camera(height=size[0], width=size[1]), view_cache)
+    renders = torch.zeros(count, 3, *size, dtype=torch.uint8)
+    for batch in batches(np.arange(count), BATCH):
+        renders[batch] = as_bytes(render_images(renderer, batch, CLOTHING))
+    return renders
+
+
+def as_bytes(images: Float[Tensor, "*B 3 H W"]) -> UInt8[Tensor, "*B 3 H W"]:
+    """Convert images in [0, 1] to bytes."""
+    return (images * 255).round().to(torch.uint8)
+
+
+def _clean_renderer(
+    bodies: Bodies, backgrounds: Backgrounds, trials: pd.DataFrame, camera: Camera, view_cache: ViewCache
+) -> BodyRenderer:
+    """Make a renderer of bodies as they are: one face stands for the logo, in its own colour."""
+    cloaked = Cloaked(bodies.face_colors[0, :1], make_logo(bodies, [0]), bodies, backgrounds)
+    return BodyRenderer(cloaked, trials, viewpoint=camera, view_cache=view_cache)
+
+
+def verify_specs(
+    specs: Sequence[str],
+    load: Callable[[str], Detector],
+    folder: Path | None = None,
+    renders: int = 4,
+    original: Detector | None = None,
+) -> dict[str, dict]:
+    """Run `verify` for each spec on the folder's pictures and on renders of the sample bodies; return the reports.
+
+    original: a detector that all of them must agree with; None for the one that `verify` finds.
+    """
+    reports = {}
+    for spec in specs:
+        detector = load(spec)
+        reports[spec] = verify(detector, sample_images(natural_size(detector), folder, renders), original)
+    return reports
+
+
+def sample_images(size: tuple[int, int], folder: Path | None, renders: int) -> UInt8[Tensor, "B 3 H W"]:
+    """Collect photographs, letterboxed, then renders. InputError: no pictures in the folder."""
+    rendered = clean_renders(renders, size)
+    if folder is None:
+        return rendered
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    files = [
+        path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+    ]
+    if not files:
+        raise InputError(f"{folder}: holds no pictures ({', '.join(SUFFIXES)})")
+    return torch.cat([torch.stack([as_bytes(framed(read_image(path), size)) for path in files]), rendered])

@@ -1,0 +1,147 @@
+"""Write renders with their boxes and masks as a data set in COCO's format: in own clothing, and cloaked.
+
+Keys that COCO knows mean what they mean there; what else is known of a render stands beside them: an image's `camera`,
+`background`, `pair` and `cloaked`, an annotation's `bbox_full` and `attributes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+
+from cloak_core import __version__
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.measure import OnProgress, batches
+from cloak_core.core.evaluation.renderer import BodyRenderer
+from cloak_core.core.pictures import save_picture
+from cloak_core.core.view import BakedView
+from cloak_core.core.visibility.screen import GRID
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import new_folder, write_json
+from cloak_core.studies.report.pictures import to_pil
+
+ANNOTATIONS = "annotations.json"
+IMAGES = "images"
+PERSON = 1
+"""COCO's category."""
+BATCH = 16
+SAVING = {"jpg": {"quality": 95, "subsampling": 0}, "png": {"optimize": True}}
+"""Pillow's options: at this quality JPEG hardly changes what a detector reports."""
+CONTROLS = {CLOTHING: False, LOGO: True}
+"""The two images of a pair, in order, and whether they are cloaked."""
+
+
+@torch.no_grad()
+def export_coco(
+    renderer: BodyRenderer, out: Path, kind: Literal["jpg", "png"] = "jpg", on_progress: OnProgress | None = None
+) -> dict:
+    """Write every trial twice into the new folder `out`: `images/` and `annotations.json`. Returns counts.
+
+    InputError: the folder exists and is not empty.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists already")
+    images, annotations = [], []
+    with new_folder(out) as folder:
+        (folder / IMAGES).mkdir()
+        for batch in batches(np.arange(len(renderer.trials)), BATCH):
+            views = renderer.views(batch)
+            for cloaked, pictures in zip(
+                CONTROLS.values(), renderer.compose(views, batch, tuple(CONTROLS)), strict=True
+            ):
+                for trial, view, picture in zip(batch, views, pictures, strict=True):
+                    image = _image(renderer, int(trial), cloaked, kind)
+                    save_picture(folder / IMAGES / image["file_name"], to_pil(picture), **SAVING[kind])
+                    images.append(image)
+                    annotations += _annotations(renderer, int(trial), view, image)
+            if on_progress:
+                on_progress(len(images), 2 * len(renderer.trials))
+        for number, annotation in enumerate(annotations, 1):
+            annotation["id"] = number
+        write_json(folder / ANNOTATIONS, _header() | {"images": images, "annotations": annotations})
+    counts = {"images": len(images), "annotations": len(annotations), "cloaked": len(renderer.trials)}
+    return {"out": str(out), "file": str(out / ANNOTATIONS)} | counts
+
+
+def _header() -> dict:
+    info = {"description": "renders of bodies in their own clothing and cloaked", "version": f"cloak {__version__}"}
+    category = {"id": PERSON, "name": "person", "supercategory": "person"}
+    return {"info": info, "licenses": [], "categories": [category]}
+
+
+def _image(renderer: BodyRenderer, trial: int, cloaked: bool, kind: str) -> dict:
+    camera, trials = renderer.camera(trial), renderer.trials
+    where = {"distance": camera.distance, "azimuth": camera.azimuth, "elevation": camera.elevation}
+    return {
+        "id": 2 * trial + cloaked + 1,
+        "file_name": f"{trial:06d}-{'cloaked' if cloaked else 'clothing'}.{kind}",
+        "width": camera.width,
+        "height": camera.height,
+        "pair": trial,
+        "cloaked": cloaked,
+        "camera": {name: round(float(value), 4) for name, value in where.items()}
+        | {"field_of_view": float(camera.field_of_view)},
+        "background": renderer.background_names[trials.at[trial, "background"]],
+    }
+
+
+def _annotations(renderer: BodyRenderer, trial: int, view: BakedView, image: dict) -> Iterator[dict]:
+    """Yield the body's annotation, without its id; none where nothing of it is in the image."""
+    mask, trials = _mask(renderer, trial, view), renderer.trials
+    if not mask.any():
+        return
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    x, y = int(columns[0]), int(rows[0])
+    box = [x, y, int(columns[-1]) - x + 1, int(rows[-1]) - y + 1]
+    whole = _whole_box(renderer, trial) or box
+    yield {
+        "image_id": image["id"],
+        "category_id": PERSON,
+        "iscrowd": 0,
+        "bbox": box,
+        "bbox_full": whole,
+        "area": int(mask.sum()),
+        "segmentation": {"size": [view.height, view.width], "counts": run_lengths(mask)},
+        "attributes": {
+            "cloaked": image["cloaked"],
+            "body": renderer.body_names[trials.at[trial, "pose"]],
+            "pose": int(trials.at[trial, "pose"]),
+            "outfit": int(trials.at[trial, "outfit"]),
+            "visible": round(min(1.0, box[2] * box[3] / max(whole[2] * whole[3], 1e-9)), 4),
+        },
+    }
+
+
+def _mask(renderer: BodyRenderer, trial: int, view: BakedView) -> Bool[np.ndarray, "h w"]:
+    """Mark the pixels that the body covers by at least half, moved as the trial says."""
+    pixels = view.pixels[view.coverage >= 0.5].cpu().numpy()
+    dx, dy = renderer.shifts([trial])[0].tolist()
+    y, x = pixels // view.width + dy, pixels % view.width + dx
+    kept = (x >= 0) & (x < view.width) & (y >= 0) & (y < view.height)
+    mask = np.zeros((view.height, view.width), bool)
+    mask[y[kept], x[kept]] = True
+    return mask
+
+
+def _whole_box(renderer: BodyRenderer, trial: int) -> list[float] | None:
+    """Compute [x, y, width, height] of the whole body, also beyond the image; None where it passes the camera."""
+    screen = renderer.view_cache.screen([(int(renderer.trials.at[trial, "pose"]), renderer.camera(trial))])
+    if screen.in_guard_band is not None and not bool(screen.in_guard_band.all()):
+        return None
+    dx, dy = renderer.shifts([trial])[0].tolist()
+    x, y = screen.x[0].double() / GRID + dx, screen.y[0].double() / GRID + dy
+    sides = (x.min(), y.min(), x.max() - x.min(), y.max() - y.min())
+    return [round(float(value), 2) for value in sides]
+
+
+def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
+    """Encode a mask as COCO's run lengths: pixels out, in, out ... down column after column, beginning with out."""
+    flat = mask.ravel(order="F")
+    edges = np.flatnonzero(np.diff(flat)) + 1
+    runs = np.diff(np.concatenate([[0], edges, [flat.size]])).tolist()
+    return [0, *runs] if flat[0] else runs

@@ -1,0 +1,230 @@
+"""The images of an evaluation, rendered by Blender's Cycles instead of our own renderer.
+
+Blender runs in a process of its own (`tools/cycles_frames.py`); what passes between the two is a folder of
+arrays and PNG files. One frame is a body, a camera, a colouring and a light; putting it before backgrounds is done
+here, as for our own images: in display colours, image = body * alpha + background * (1 - alpha).
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from cloak_core.core.evaluation.controls import LOGO, control_colors, random_colors
+from cloak_core.core.evaluation.measure import OnProgress
+from cloak_core.core.evaluation.renderer import BodyRenderer, Indices
+from cloak_core.core.pictures import read_picture
+from cloak_core.core.view import BakedView
+from cloak_core.core.visibility.normals import NormalOperator
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
+from cloak_core.files.writing import open_to_append, write_json, write_npz
+from cloak_core.sources.bodies.blender.outside import ROOT, bpy_version, find_bpy
+
+SCRIPT = ROOT / "tools" / "cycles_frames.py"
+LIGHTS = ("matching", "studio", "sky")
+"""Light set-ups of `tools/cycles_frames.py`: our model's own, and two natural ones."""
+SAMPLES = 32
+"""Light paths per pixel, without denoising."""
+OnFrame = Callable[[str], None]
+"""Told a line for every frame."""
+
+
+class NoBlender(InputError):
+    """Blender's Python package is not there."""
+
+
+def require_blender() -> str:
+    """Find a Python with Blender; NoBlender says in one line how to install one."""
+    python = find_bpy() if SCRIPT.exists() else None
+    if python is None:
+        raise NoBlender(
+            "Cycles: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11), "
+            "or name a Python that has it in CLOAK_BLENDER"
+        )
+    return python
+
+
+def first_trials(trials: pd.DataFrame) -> dict[tuple[int, float], int]:
+    """Find the first trial of every pose and angle (degrees), sorted."""
+    places = list(zip(trials["pose"].tolist(), trials["angle"].tolist(), strict=True))
+    return {place: places.index(place) for place in sorted(set(places))}
+
+
+def in_cycles(
+    renderer: BodyRenderer, controls: Sequence[str], out: Path, light: str, on_progress: OnProgress | None
+) -> CyclesRenderer:
+    """Render the trials in one light of Cycles, in the first outfit; frames are kept in a folder in `out`."""
+    require_blender()
+    # Every other outfit would need frames of its own.
+    renderer.trials = renderer.trials.assign(outfit=0)
+    done, frames = itertools.count(1), len(first_trials(renderer.trials)) * len(controls)
+    on_frame = lambda _: on_progress and on_progress(next(done), frames)
+    return CyclesRenderer(renderer, render_frames(renderer, controls, out, SAMPLES, on_frame, (light,)), light)
+
+
+def render_frames(
+    renderer: BodyRenderer,
+    controls: Sequence[str],
+    out: Path,
+    samples: int,
+    on_frame: OnFrame,
+    lights: Sequence[str] = LIGHTS,
+) -> Path:
+    """Render every pose and angle of the trials in every colouring and light; return the frames' folder.
+
+    The folder OUT/HASH is named by what decides the pixels, so frames are rendered once, and a job that was stopped
+    goes on. The first outfit is worn throughout, and "random" has one draw.
+    """
+    python = require_blender()
+    colors = np.stack([_triangle_colors(renderer, control) for control in controls])
+    job = {
+        "size": renderer.camera(0).height,
+        "samples": samples,
+        "near": renderer.camera(0).near_plane,
+        "far": 100 * renderer.camera(0).distance,
+        "frames": [
+            {"file": file_name(light, *place, control), "colors": number, "light": light} | _view(renderer, trial)
+            for light in lights
+            for place, trial in first_trials(renderer.trials).items()
+            for number, control in enumerate(controls)
+        ],
+    }
+    bodies = renderer.cloaked.bodies
+    normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
+    mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
+    content = [sha256_arrays(*mesh.values()), job, source_hash(SCRIPT), bpy_version(python)]
+    folder = out / sha256_record(content)[:16]
+    folder.mkdir(parents=True, exist_ok=True)
+    if all((folder / frame["file"]).exists() for frame in job["frames"]):
+        return folder
+    write_npz(folder / "meshes.npz", **mesh)
+    write_json(folder / "job.json", job)
+    _run(python, folder, on_frame)
+    return folder
+
+
+def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+    log = folder / "blender.log"
+    command = [python, str(SCRIPT), str(folder)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with open_to_append(log) as said:
+        process = subprocess.Popen(command, env=environment, **pipes)
+        try:
+            for line in process.stdout:
+                said.write(line.encode())
+                if line.startswith("frame "):
+                    on_frame(line.strip())
+        finally:
+            process.terminate()  # only where we leave early: it has closed its output otherwise
+            code = process.wait()
+    missing = [f["file"] for f in read_json(folder / "job.json")["frames"]]
+    missing = [name for name in missing if not (folder / name).exists()]
+    if missing:
+        tail = "\n".join(read_text(log, MAX_TEXT_BYTES, errors="replace").splitlines()[-20:])
+        raise RuntimeError(f"Blender ended with exit code {code} before {missing[0]} was rendered:\n{tail}")
+
+
+def _view(renderer: BodyRenderer, trial: int) -> dict:
+    camera, pose = renderer.camera(trial), int(renderer.trials.at[trial, "pose"])
+    vertices = renderer.cloaked.bodies.vertices[pose].astype(np.float64)
+    pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
+    return {
+        "pose": pose,
+        "position": [float(x) for x in camera.position(pivot)],
+        "axes": camera.axes,
+        "field_of_view": camera.field_of_view,
+    }
+
+
+def file_name(light: str, pose: int, angle: float, control: str) -> str:
+    """Name the PNG of a frame."""
+    return f"{light}-{pose}-{angle:+g}-{control}.png"
+
+
+def _triangle_colors(renderer: BodyRenderer, control: str) -> Float32[np.ndarray, "T 3"]:
+    """Look up the colours of all triangles, the logo's faces coloured as `control` says, in the first outfit."""
+    bodies, ids = renderer.cloaked.bodies, renderer.cloaked.logo.face_ids
+    faces = bodies.face_colors[0].copy()
+    if control == "random":
+        faces[ids] = random_colors(renderer.seed, 0, len(ids))
+    else:
+        faces[ids] = control_colors(control, renderer.cloaked.colors, bodies, ids)[0]
+    return faces[bodies.triangle_face]
+
+
+def _normals(bodies: Bodies, pose: int) -> Float32[np.ndarray, "V 3"]:
+    """Compute the vertex normals that our renderer shades with."""
+    triangles, vertices = bodies.triangles.T.astype(np.int64), bodies.vertices[pose].T.astype(np.float64)
+    operator = NormalOperator(torch.from_numpy(triangles), bodies.vertex_count)
+    return operator(torch.from_numpy(vertices)).T.contiguous().numpy()
+
+
+class CyclesRenderer(BodyRenderer):
+    """Render trials from frames of `render_frames` under one light."""
+
+    def __init__(self, renderer: BodyRenderer, folder: Path, light: str) -> None:
+        super().__init__(**{field.name: getattr(renderer, field.name) for field in fields(BodyRenderer)})
+        self._folder, self._light = folder, light
+        self._bodies: dict[tuple[int, float, str], Tensor] = {}
+
+    def compose(
+        self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]
+    ) -> Iterator[Float[Tensor, "B 3 H W"]]:
+        """Yield the images of these trials under each control; `views` are not used."""
+        behind, shifts = self.backgrounds(indices), self.shifts(indices).tolist()
+        seen = [(int(self.trials.at[i, "pose"]), float(self.trials.at[i, "angle"])) for i in map(int, indices)]
+        for control in controls:
+            bodies = (_shifted(self.body(*at, control), *shift) for at, shift in zip(seen, shifts, strict=True))
+            images = [b[:3] * b[3:] + back * (1 - b[3:]) for b, back in zip(bodies, behind, strict=True)]
+            yield torch.stack(images)
+
+    def body(self, pose: int, angle: float, control: str = LOGO) -> Float[Tensor, "4 H W"]:
+        """Read one frame: RGBA in [0, 1], straight alpha."""
+        key = (pose, angle, control)
+        if key not in self._bodies:
+            pixels = read_picture(self._folder / file_name(self._light, *key), "RGBA")
+            self._bodies[key] = torch.from_numpy(pixels).permute(2, 0, 1).contiguous()
+        return self._bodies[key].to(self._device).float() / 255
+
+
+def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tensor, "4 H W"]:
+    """Move the body by whole pixels; what leaves the image is lost, what comes in is empty."""
+    height, width = body.shape[1:]
+    moved = torch.zeros_like(body)
+    y, x = max(0, down), max(0, right)
+    part = body[:, max(0, -down) : height - y, max(0, -right) : width - x]
+    moved[:, y : y + part.shape[1], x : x + part.shape[2]] = part
+    return moved
+
+
+def image_difference(ours: BodyRenderer, cycles: CyclesRenderer) -> dict[str, float]:
+    """Compare images of the cloaked bodies, averaged over poses and angles, before mid-grey, in display colours [0, 1].
+
+    "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both
+    cover the pixel wholly, so that silhouettes do not count.
+    """
+    either, both = [], []
+    for (pose, angle), trial in first_trials(ours.trials).items():
+        mine, covered = ours.before_grey(ours.views([trial])[0], trial, LOGO)
+        frame = cycles.body(pose, angle)
+        theirs, alpha = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:]), frame[3].flatten()
+        difference = (theirs - mine).flatten(1).double()
+        either.append(difference[:, (covered > 0) | (alpha > 0)].flatten())
+        both.append(difference[:, (covered > 1 - 1e-4) & (alpha == 1)].flatten())
+    shown, inside = torch.cat(either), torch.cat(both)
+    rms = lambda values: float((values**2).mean().sqrt()) if len(values) else 0.0
+    return {"rms": rms(shown), "inside": rms(inside), "bias": float(shown.mean()) if len(shown) else 0.0}

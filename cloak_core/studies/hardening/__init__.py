@@ -1,0 +1,1 @@
+"""Harden detectors: adversarial training against cloaks."""

@@ -1,0 +1,115 @@
+"""The folder of one hardening: who writes into it, and what it was begun with.
+
+config.json  events.jsonl  checkpoint/  hardened.* (files of the detector's family)  hardened.licence.txt  cancel
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from cloak_core import __version__
+from cloak_core.core.checkpoints import remove_unfinished
+from cloak_core.core.detector.protocol import detector_record
+from cloak_core.core.run_config import environment
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.locks import lock
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import people_identity
+from cloak_core.sources.photographs.people import People
+from cloak_core.studies.hardening.pool import Given
+from cloak_core.studies.hardening.settings import HardenSettings
+from cloak_core.studies.hardening.student import Student
+
+FORMAT, EARLIER = "cloak hardening 2", "cloak hardening 1"
+"""EARLIER drew other cloaks, with which its checkpoints do not go on."""
+FREE = ("max_seconds", "checkpoint_every")
+"""Settings that a hardening may be resumed with otherwise."""
+
+
+class HardenFolder:
+    """Paths of a hardening. Make one with `open_folder`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = path / "config.json"
+        self.events = path / "events.jsonl"
+        self.checkpoint = path / "checkpoint"
+        self.cancel = path / "cancel"
+
+
+def harden_config(
+    settings: HardenSettings,
+    student: Student,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    photographs: Backgrounds | None,
+    given: Sequence[Given],
+    people: People | None = None,
+) -> dict:
+    """config.json: what decides the result, and where it ran."""
+    return {
+        "format": FORMAT,
+        "cloak": __version__,
+        "settings": asdict(settings),
+        "detector": {"spec": student.spec} | detector_record(student.teacher),
+        "scene": {"name": bodies.name, "poses": list(bodies.names), "identity": bodies.identity},
+        "backgrounds": backgrounds.identities(),
+        "photographs": None if photographs is None else photographs.identities(),
+        "people": None if people is None else people_identity(people),
+        "cloaks": [sha256_arrays(one.logo.face_ids, one.colors) for one in given],
+        "environment": environment(),
+    }
+
+
+@contextlib.contextmanager
+def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder]:
+    """Make the folder, or open it to resume; nobody else hardens in it until the block ends.
+
+    InputError: it exists and is not to be resumed, was begun with something else (which is named), is no such folder,
+    or is in use.
+    """
+    folder = HardenFolder(path)
+    if path.exists() and not resume:
+        raise InputError(f"{path}: exists already (--resume goes on with it)")
+    if not path.exists():
+        with new_folder(path) as temporary:
+            write_json(temporary / "config.json", config)
+            (temporary / "checkpoint").mkdir()
+    if not folder.config.exists():
+        raise InputError(f"{path}: not a folder of cloak harden (no config.json in it)")
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(lock(path / ".lock"))
+        except BlockingIOError:
+            raise InputError(f"{path}: another process is hardening in this folder") from None
+        _check(read_json(folder.config), config, path)
+        if folder.checkpoint.is_symlink() or not folder.checkpoint.is_dir():
+            raise InputError(f"{folder.checkpoint}: not a folder of its own")
+        remove_unfinished(folder.checkpoint)
+        with written(folder.cancel):
+            folder.cancel.unlink(missing_ok=True)
+        yield folder
+
+
+def _check(recorded: dict, config: dict, path: Path) -> None:
+    if recorded.get("format") == EARLIER:
+        raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin in another --out")
+    if recorded.get("format") != FORMAT:
+        raise InputError(f"{path}: not a folder of cloak harden")
+    before, now = (
+        {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
+        | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
+        | {name: c.get(name) for name in ("backgrounds", "photographs", "people", "cloaks")}
+        for c in (recorded, config)
+    )
+    for name, value in now.items():
+        if before.get(name) != value:
+            words = f" = {before.get(name)}, not {value}" if name.startswith("--") else ""
+            raise InputError(f"{path}: was begun with other {name}{words}; resume with the same")

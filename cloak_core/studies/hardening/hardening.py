@@ -1,0 +1,230 @@
+"""Hardening: the detector learns to say of people in cloaks what it said of them without.
+
+A turn: a cloak is attacked further against the detector as it stands (never against a copy that is out of date), then
+the detector learns from new images of it, from the same images without it, from pictures, and from pictures with cloth
+that nobody wears (`decoys`), all by distillation from what it was (`distillation`). So no labels are needed, and what
+nobody attacked is to stay as it was.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from cloak_core.core.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from cloak_core.core.events import EventLog, OnEvent, rewind_events
+from cloak_core.core.loop import TrainingError
+from cloak_core.core.stopping import StopRequest, stop_request
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import People
+from cloak_core.studies.hardening.folder import HardenFolder, harden_config, open_folder
+from cloak_core.studies.hardening.pictures import Decoys, Pictures
+from cloak_core.studies.hardening.pool import Given, Pool
+from cloak_core.studies.hardening.settings import HardenSettings
+from cloak_core.studies.hardening.student import Student
+
+WARM_UP = 0.05
+"""Share of the steps over which the learning rate rises."""
+LAST = 0.8
+"""Share of the steps after which cloaks count more (`cloaked_weight`) and the learning rate begins anew, at half its
+height: a detector whose cloaks counted more from the start took cloth for people more often than before."""
+CLIP = 5.0
+"""Longest gradient, over all parameters."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HardenResult:
+    """How a hardening ended."""
+
+    out: Path
+    spec: str
+    """Of the hardened detector."""
+    step: int
+    steps: int
+    seconds: float
+    stopped: str
+    """Why it was ended early; "" when it is complete."""
+
+
+def harden(
+    settings: HardenSettings,
+    student: Student,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    out: Path,
+    *,
+    photographs: Backgrounds | None = None,
+    people: People | None = None,
+    given: Sequence[Given] = (),
+    resume: bool = False,
+    on_event: OnEvent | None = None,
+) -> HardenResult:
+    """Harden the student into the folder `out`: a file of its family, hardened.*, and its licence, beside config.json,
+    events.jsonl and checkpoint/ as a training's run has them.
+
+    photographs: pictures of which the detector is to report what it reported; no labels. people: those who can be
+    dressed; in cloaks they are to be reported as in their own clothes. given: cloaks that are there already. SIGINT,
+    SIGTERM, a file `cancel` in `out` or the time budget end it after the current step; `resume` goes on from there.
+    InputError: `out` exists without `resume`, or was begun with something else.
+    """
+    fits = [] if people is None else fit_people(people)
+    pool = Pool(settings, bodies, backgrounds, student.detector, given, fits)
+    pictures = Pictures(pool, photographs, student.teacher)
+    config = harden_config(settings, student, bodies, backgrounds, photographs, given, people)
+    with (
+        open_folder(Path(out), config, resume) as folder,
+        stop_request(folder.cancel, settings.max_seconds) as stop,
+    ):
+        return Hardening(settings, student, pool, pictures, folder, on_event).run_to_end(stop)
+
+
+class Hardening:
+    """One hardening from its last checkpoint, or its start, to its end."""
+
+    def __init__(
+        self,
+        settings: HardenSettings,
+        student: Student,
+        pool: Pool,
+        pictures: Pictures,
+        folder: HardenFolder,
+        on_event: OnEvent | None = None,
+    ) -> None:
+        self.settings, self.student, self.pool, self.pictures, self.folder = settings, student, pool, pictures, folder
+        student.detector.precision = settings.precision
+        self.parameters = list(student.network.parameters())
+        self.optimizer = torch.optim.AdamW(self.parameters, settings.lr, weight_decay=0.0)
+        self.averaged = {name: value.clone() for name, value in student.network.state_dict().items()}
+        self.step, self._earlier, self._started = 0, 0.0, time.perf_counter()
+        self._restore()
+        self.log = EventLog(folder.events, on_event)
+
+    @property
+    def seconds(self) -> float:
+        """Of hardening so far, earlier parts included."""
+        return self._earlier + time.perf_counter() - self._started
+
+    def run_to_end(self, stop: StopRequest) -> HardenResult:
+        """Steps until done or told to stop; a checkpoint and the detector are written either way."""
+        reason, steps = "", self.settings.steps
+        try:
+            self._tell("resume" if self.step else "start", steps=steps)
+            while not self.step and len(self.pool.finished) < self._decoys_finished and not reason:
+                self.pool.finish_one()
+                reason = stop.reason(self.seconds)
+            while self.step < steps and not reason:
+                self._one_step()
+                reason = stop.reason(self.seconds)
+                if self.step % self.settings.checkpoint_every == 0 or reason or self.step == steps:
+                    self._save()
+            reason = "" if self.step >= steps else reason
+            learned = self.settings.batch + min(self.settings.clean, self.settings.batch)
+            shown = learned + self.settings.pictures + self.settings.decoys
+            spec = self.student.write(self.averaged, self.folder.path, self.step * shown)
+            self._tell("end", outcome="stopped" if reason else "done", reason=reason, spec=spec)
+        finally:
+            self.log.close()
+        return HardenResult(self.folder.path, spec, self.step, steps, self.seconds, reason)
+
+    @property
+    def _decoys_finished(self) -> int:
+        """How many finished cloaks decoys begin with."""
+        return self.settings.finished if self.settings.decoys else 0
+
+    def _one_step(self) -> None:
+        self.student.detector.requires_grad_(False)
+        attack = self.pool.attack(self.step)
+        pair, pictures = self.pool.pair(self.step), self.pictures.plain(self.step)
+        parts = self._learn(pair.cloaked, pair.clean, pictures, self.pictures.decoys(self.step))
+        self.step += 1
+        self._average()
+        figures = {} if attack is None else {"success": attack.success, "disappearance": attack.disappearance}
+        self._tell("step", **parts, **figures)
+
+    def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor, decoys: Decoys) -> dict[str, float]:
+        """One update; returns the loss and its parts, each a mean over its own images."""
+        student, count, kept = self.student, len(cloaked), min(self.settings.clean, len(cloaked))
+        sources = torch.cat([clean, pictures, decoys.without])
+        rows = torch.arange(len(sources), device=clean.device)
+        wanted = student.wanted(sources, torch.cat([rows[:count], rows[:kept], rows[count:]]))
+        images = torch.cat([cloaked, clean[:kept], pictures, decoys.shown])
+        surer = torch.arange(len(images), device=images.device) < count + kept
+        student.detector.requires_grad_(True)
+        each = student.distance(images, wanted, surer, self.settings.sure)
+        weights = torch.ones_like(each)
+        weights[:count] = self.settings.cloaked_weight if self.step >= LAST * self.settings.steps else 1.0
+        loss = (weights * each).sum() / weights.sum()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        length = torch.nn.utils.clip_grad_norm_(self.parameters, CLIP)
+        if not math.isfinite(float(loss.detach())) or not math.isfinite(float(length)):
+            raise TrainingError(f"{self.folder.path}: the loss of step {self.step + 1} is not finite; try a lower --lr")
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.settings.lr * rate(self.step, self.settings.steps)
+        self.optimizer.step()
+        parts = each.detach().split([count, kept, len(pictures), len(decoys.shown)])
+        names = ("cloaked", "clean", "pictures", "decoys")
+        told = {name: float(part.mean()) for name, part in zip(names, parts, strict=True) if len(part)}
+        return {"loss": float(loss.detach())} | told
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        decay = min(self.settings.average, self.step / (self.step + 10))
+        for name, value in self.student.network.state_dict().items():
+            if value.is_floating_point():
+                self.averaged[name].lerp_(value, 1 - decay)
+
+    def _tell(self, kind: str, **more: object) -> None:
+        self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 3)} | more)
+
+    def _save(self) -> None:
+        tensors = {f"network.{name}": value for name, value in self.student.network.state_dict().items()}
+        tensors |= {f"averaged.{name}": value for name, value in self.averaged.items()}
+        for number, state in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"adam.{number}.{name}": value for name, value in state.items()}
+        save_checkpoint(self.folder.checkpoint, Checkpoint(self.step, self.seconds, tensors | self.pool.state()))
+
+    def _restore(self) -> None:
+        found, _ = load_checkpoint(self.folder.checkpoint)
+        if found is None:
+            return
+        tensors, device = found.tensors, self.pool.device
+        try:
+            for mark, target in (("network.", self.student.network.state_dict()), ("averaged.", self.averaged)):
+                for name, value in target.items():
+                    value.copy_(tensors[mark + name])
+            self._load_adam(
+                {n.removeprefix("adam."): v.to(device) for n, v in tensors.items() if n.startswith("adam.")}
+            )
+            self.pool.load(found.step, tensors)
+        except (KeyError, ValueError, RuntimeError) as error:
+            raise InputError(f"{self.folder.checkpoint}: is of another detector ({error})") from None
+        self.step, self._earlier = found.step, found.time
+        rewind_events(self.folder.events, self.step)
+
+    def _load_adam(self, tensors: dict[str, Tensor]) -> None:
+        states: dict[int, dict[str, Tensor]] = {}
+        for name, value in tensors.items():
+            number, _, key = name.partition(".")
+            states.setdefault(int(number), {})[key] = value.cpu() if key == "step" else value
+        self.optimizer.load_state_dict(self.optimizer.state_dict() | {"state": states})
+
+
+def rate(step: int, steps: int) -> float:
+    """Share of the learning rate before update `step` (from 0): a rise, half a cosine down to 0, another from 0.5."""
+    last = max(1, math.ceil(LAST * steps))
+    if step >= last:
+        return 0.25 + 0.25 * math.cos(math.pi * (step - last) / (steps - last))
+    warm = max(1, round(WARM_UP * last))
+    if step < warm:
+        return (step + 1) / (warm + 1)
+    return 0.5 + 0.5 * math.cos(math.pi * (step - warm) / max(1, last - warm))

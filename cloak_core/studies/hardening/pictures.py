@@ -1,0 +1,110 @@
+"""Pictures of which a detector that is hardened is to say what it said: places, photographs, and cloth on nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.core.cameras import Camera
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.detector.scoring import person_boxes
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.studies.hardening.decoys import Texture, draw_decoy, random_texture
+from cloak_core.studies.hardening.pool import DISTANCES, Pool
+
+FINER, LEAST_PART = 2, 0.4
+"""Pictures are taken from photographs decoded this many times finer, of at least this share of their side: a detector
+that learns whole photographs by heart reports more in the parts of others."""
+SHOWN, UNTRAINED = 4, 4
+"""Odds that a decoy shows a finished cloak, and a pattern that nobody trained; each cloak of the pool has odds of 1.
+The colours of cloaks alone must not decide what is a person."""
+MAYBE_PERSON = 0.3
+"""A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
+_PICTURES, _DECOYS = 3, 4
+"""Streams of random numbers; the pool has others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decoys:
+    """The same pictures with patterned cloth that nobody wears, and without."""
+
+    shown: Float[Tensor, "B 3 H W"]
+    without: Float[Tensor, "B 3 H W"]
+
+
+class Pictures:
+    """Square parts of the pool's backgrounds and of photographs, where there are some, with decoys and without.
+
+    teacher: the unhardened detector, which says where people may be. What is drawn is a function of (seed, turn).
+    """
+
+    def __init__(self, pool: Pool, photographs: Backgrounds | None, teacher: Detector) -> None:
+        self.pool, self.photographs, self.teacher = pool, photographs, teacher
+        self.settings, self.size = pool.settings, pool.settings.size
+
+    def plain(self, turn: int) -> Float[Tensor, "P 3 H W"]:
+        """Backgrounds and photographs, half of each where there are some, mirrored at random."""
+        rng = np.random.default_rng([self.settings.seed, _PICTURES, turn])
+        images = torch.zeros(self.settings.pictures, 3, self.size, self.size)
+        for k, image in enumerate(images):
+            part = self._part(rng, photograph=bool(k % 2))
+            image.copy_(part.flip(2) if rng.random() < 0.5 else part)
+        return images.to(self.pool.device)
+
+    @torch.no_grad()
+    def decoys(self, turn: int) -> Decoys:
+        """Pictures with cloth that nobody wears: cloaks as they are now, finished ones, and random patterns."""
+        rng = np.random.default_rng([self.settings.seed, _DECOYS, turn])
+        without, shown = (torch.zeros(self.settings.decoys, 3, self.size, self.size) for _ in range(2))
+        for k in range(len(shown)):
+            without[k] = self._part(rng, photograph=bool(k % 2))
+            clear = self._people_in(without[k]) if k % 2 and self.photographs is not None else ()
+            shown[k] = draw_decoy(without[k], self.textures(rng), rng, self._silhouette(rng), clear)
+        return Decoys(shown.to(self.pool.device), without.to(self.pool.device))
+
+    def textures(self, rng: np.random.Generator) -> Iterator[Texture]:
+        """Draw what decoys show: cloaks as they are, finished and given ones, and patterns that nobody trained."""
+        cloaks, finished, given = self.pool.cloaks, self.pool.finished, self.pool.given
+        slots = sorted(cloaks)  # a resumed hardening made them in another order
+        odds = np.cumsum([len(slots), SHOWN if finished else 0, bool(given), UNTRAINED])
+        while True:
+            kind = np.searchsorted(odds, rng.integers(odds[-1]), side="right")
+            if kind == 0:
+                yield cloaks[slots[rng.integers(len(slots))]].texture()
+            elif kind == 1:
+                yield finished[rng.integers(len(finished))]
+            elif kind == 2:
+                chosen = given[rng.integers(len(given))]
+                yield self.pool.flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32))
+            else:
+                yield random_texture(rng, lambda: self._part(rng, photograph=False))
+
+    def _part(self, rng: np.random.Generator, photograph: bool) -> Float[Tensor, "3 H W"]:
+        """Draw a part of a photograph, where there are some, or of a background."""
+        source = self.photographs if photograph and self.photographs is not None else self.pool.backgrounds
+        side = FINER * self.size
+        whole = source.image(int(rng.integers(len(source))), (side, side)).float() / 255
+        shown = int(self.size * rng.uniform(LEAST_PART, 1) * FINER)
+        y, x = (int(rng.integers(side - shown + 1)) for _ in range(2))
+        part = whole[None, :, y : y + shown, x : x + shown]
+        return F.interpolate(part, (self.size, self.size), mode="bilinear", antialias=True)[0].clamp(0, 1)
+
+    def _silhouette(self, rng: np.random.Generator) -> Float[Tensor, "H W"]:
+        """Draw a body's coverage of the picture, from anywhere."""
+        size, distance = self.size, DISTANCES[rng.integers(len(DISTANCES))]
+        camera = Camera(azimuth=float(30 * rng.integers(12)), distance=distance, width=size, height=size)
+        view = self.pool.view_cache.view(int(rng.integers(self.pool.bodies.pose_count)), camera)
+        covered = torch.zeros(size * size, device=view.coverage.device)
+        covered[view.pixels] = view.coverage
+        return covered.view(size, size).roll(int(rng.integers(-size // 3, size // 3)), 1).cpu()
+
+    def _people_in(self, picture: Float[Tensor, "3 H W"]) -> list[list[float]]:
+        """Find boxes of a picture in which there may be somebody."""
+        found = person_boxes(self.teacher(picture[None].to(self.pool.device)), MAYBE_PERSON)[0]
+        return found[:, :4].tolist()

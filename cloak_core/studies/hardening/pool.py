@@ -1,0 +1,266 @@
+"""The cloaks that a detector is hardened against.
+
+Everything drawn is a function of (seed, turn), so that a hardening that was stopped goes on as if it had not been.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.core.batches import Batcher
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.logo import Logo, make_logo
+from cloak_core.core.objective import Objective, StepFigures, gradient_step
+from cloak_core.core.optimizer import ColorOptimizer, learning_rate
+from cloak_core.core.paint import compose
+from cloak_core.core.people import PeopleViews
+from cloak_core.core.sampling import Sampler
+from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.rig import faces_on_rig
+from cloak_core.studies.hardening.decoys import FlatCloth, Texture
+from cloak_core.studies.hardening.logos import draw_colors, draw_logo
+from cloak_core.studies.hardening.settings import HardenSettings
+
+DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
+"""Metres and degrees, for one cloak after the other."""
+AZIMUTHS, AROUND, SECTOR = 10, 6, 15
+"""Azimuths of a cloak; how many of them go all around for every other cloak, and how far the rest stray, degrees: a
+cloak that works from one side alone is the stronger attack there, and to withstand others does not answer it."""
+SAMPLES = 4
+"""Per pixel: what sampling misses in one view it finds in the next."""
+GIVEN, GOES_ON = 0.5, 0.75
+"""How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
+their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
+WHOLE_BODY = 2
+"""One cloak in this many covers the whole body, the largest logo that an attacker has. Without this rule the largest of
+200 drawn logos covered four fifths of a body, and the hardened detector fell to a cloak over all of it."""
+FINISH = 240
+"""Steps that train a cloak to its end."""
+KEPT = 32
+"""So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
+_LOGO, _VIEWS = 1, 2
+"""Streams of random numbers; `pictures` has others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A finished cloak to be hardened against: colours [L, 3] of a logo."""
+
+    logo: Logo
+    colors: np.ndarray
+
+
+@dataclass(eq=False)
+class Cloak:
+    """One cloak of the pool."""
+
+    generation: int
+    logo: Logo
+    batcher: Batcher
+    objective: Objective
+    optimizer: ColorOptimizer
+    flat: FlatCloth
+
+    def update(self, age: int, life: int) -> None:
+        """Follow the gradient, at a learning rate that falls over its life as over a training.
+
+        At a constant rate colours flicker to the end, and smoother cloaks blinded the detector that met only those.
+        """
+        self.optimizer.update(learning_rate(self.optimizer.settings, age, life, epoch=0.0))
+
+    def texture(self) -> Texture:
+        """The cloak as it is, laid flat."""
+        return self.flat.texture(self.optimizer.colors().detach().cpu().numpy())
+
+
+class Place(NamedTuple):
+    """Where a turn stands in the pool."""
+
+    slot: int
+    generation: int
+    """Of the slot's cloak."""
+    count: int
+    """How often the slot has had its turn before."""
+    age: int
+    """How many of its `life` turns the cloak has behind it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The same images with a cloak and without."""
+
+    cloaked: Float[Tensor, "B 3 H W"]
+    clean: Float[Tensor, "B 3 H W"]
+
+
+class Pool:
+    """Cloaks, each on its logo, seen from its own distance and angles; they take turns."""
+
+    def __init__(
+        self,
+        settings: HardenSettings,
+        bodies: Bodies,
+        backgrounds: Backgrounds,
+        detector: Detector,
+        given: Sequence[Given] = (),
+        people: Sequence[Fit] = (),
+    ) -> None:
+        self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
+        self.given, self.people = tuple(given), tuple(people)
+        if self.people:
+            faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
+        self.device = torch.device(detector.device)
+        self.view_cache = ViewCache(bodies, RenderSettings(device=self.device, samples=SAMPLES))
+        self.centres = face_centres(bodies)
+        self.cloaks: dict[int, Cloak] = {}
+        self.skins: dict[int, Float[Tensor, "F 3"]] = {}
+        """By slot, the last colours that any of its cloaks had on each face."""
+        self.finished: list[Texture] = []
+        """Of cloaks that were trained to their end and of those whose life is over, the oldest first."""
+
+    def place(self, turn: int) -> Place:
+        """Find whose turn it is; one slot after the other gets its next cloak."""
+        slot, count = turn % self.settings.cloaks, turn // self.settings.cloaks
+        ahead = slot * self.settings.life // self.settings.cloaks
+        return Place(slot, (count + ahead) // self.settings.life, count, (count + ahead) % self.settings.life)
+
+    def cloak(self, turn: int) -> Cloak:
+        """The cloak whose turn it is: the slot's own, or a new one where its life is over."""
+        slot, generation = self.place(turn)[:2]
+        known = self.cloaks.get(slot)
+        if known is None or known.generation != generation:
+            if known is not None:
+                self._remember(slot, known)
+                first, later = np.split(np.array([*self.finished, known.texture()]), [self.settings.finished])
+                self.finished = [*first, *later[-KEPT:]]
+            self.cloaks[slot] = self._new(slot, generation)
+        return self.cloaks[slot]
+
+    def finish_one(self) -> None:
+        """Train one more cloak to its end against the detector as it stands, for decoys alone."""
+        cloak = self._new(self.settings.cloaks + len(self.finished), 0)
+        for k in range(FINISH):
+            gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(k))
+            cloak.update(k, FINISH)
+        self.finished.append(cloak.texture())
+
+    def attack(self, turn: int) -> StepFigures | None:
+        """Move the colours against the detector as it stands; figures of the last step, None without steps."""
+        cloak, figures, place = self.cloak(turn), None, self.place(turn)
+        first = place.count * (self.settings.attack_steps + 1)
+        for k in range(self.settings.attack_steps):
+            figures = gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(first + k)).figures
+            cloak.update(place.age, self.settings.life)
+        return figures
+
+    @torch.no_grad()
+    def pair(self, turn: int) -> Pair:
+        """New images of the cloak whose turn it is.
+
+        Clean ones show the body in its clothes, without changes of colour, and a photograph as it is.
+        """
+        cloak = self.cloak(turn)
+        step = self.place(turn).count * (self.settings.attack_steps + 1) + self.settings.attack_steps
+        batch = cloak.batcher.batch(step)
+        outfit = self.bodies.face_colors[turn % self.bodies.outfit_count]
+        clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
+        # The second call draws into the memory of the first.
+        cloaked = batch.images(cloak.optimizer.colors()).clone()
+        clean, draws = replace(batch, on_logo=None).images(clothing).clone(), cloak.batcher.sampler.draw(step)
+        for image, person, seed in zip(clean, draws.person.tolist(), draws.seed.tolist(), strict=True):
+            if person >= 0:
+                view = cloak.batcher.people.undressed(person, seed)
+                image.copy_(compose([view], clothing, torch.zeros_like(image)[None])[0])
+        return Pair(cloaked, clean)
+
+    def flat(self, logo: Logo) -> FlatCloth:
+        """The logo, laid flat."""
+        return FlatCloth(self.centres[logo.face_ids], face_normals(self.bodies)[logo.face_ids])
+
+    def state(self) -> dict[str, Tensor]:
+        """For a checkpoint; which logo a cloak has follows from the turn."""
+        kept = {f"skin.{slot}": skin for slot, skin in self.skins.items()}
+        kept |= {f"finished.{k:03d}": torch.from_numpy(texture) for k, texture in enumerate(self.finished)}
+        return kept | {
+            f"cloak.{slot}.{name}": value
+            for slot, cloak in self.cloaks.items()
+            for name, value in cloak.optimizer.state().items()
+        }
+
+    def load(self, turn: int, tensors: dict[str, Tensor]) -> None:
+        """Go on before this turn, from `state()`."""
+        skins = {name.removeprefix("skin."): value for name, value in tensors.items() if name.startswith("skin.")}
+        self.skins = {int(slot): skin.to(self.device) for slot, skin in skins.items()}
+        finished = [tensors[name].cpu().numpy() for name in sorted(tensors) if name.startswith("finished.")]
+        for earlier in range(max(0, turn - self.settings.cloaks), turn):
+            slot = self.place(earlier).slot
+            mark = f"cloak.{slot}."
+            own = {name.removeprefix(mark): value for name, value in tensors.items() if name.startswith(mark)}
+            self.cloak(earlier).optimizer.load({name: value.to(self.device) for name, value in own.items()})
+        self.finished = finished
+
+    def _new(self, slot: int, generation: int) -> Cloak:
+        rng = np.random.default_rng([self.settings.seed, _LOGO, slot, generation])
+        if self.given and rng.random() < GIVEN:
+            chosen = self.given[rng.integers(len(self.given))]
+            logo, colors = chosen.logo, chosen.colors
+        else:
+            whole = (slot + generation) % WHOLE_BODY == WHOLE_BODY - 1  # one slot after the other
+            faces = np.arange(self.bodies.face_count) if whole else draw_logo(self.bodies, rng)
+            logo = make_logo(self.bodies, faces)
+            colors = draw_colors(self.centres[logo.face_ids].astype(np.float32), rng)
+            if slot in self.skins and rng.random() < GOES_ON:
+                colors = self.skins[slot].cpu().numpy()[logo.face_ids]
+        settings = self._train_settings(slot)
+        poses, outfits = self.bodies.pose_count, self.bodies.outfit_count
+        sampler = Sampler(settings, poses, outfits, len(self.backgrounds), len(self.people))
+        people = PeopleViews(self.people, logo, settings.photographs, self.settings.size) if self.people else None
+        first = torch.from_numpy(np.array(colors, np.float32)).to(self.device)
+        return Cloak(
+            generation,
+            logo,
+            Batcher(settings, sampler, self.view_cache, logo.face_ids, self.backgrounds, self.device, people),
+            Objective(settings, logo, [self.detector], self.device),
+            ColorOptimizer(settings.optimization, first),
+            self.flat(logo),
+        )
+
+    @torch.no_grad()
+    def _remember(self, slot: int, cloak: Cloak) -> None:
+        skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
+        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = cloak.optimizer.colors()
+
+    def _train_settings(self, slot: int) -> TrainSettings:
+        rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])
+        whole, turn = AROUND if slot % 2 else 0, rng.integers(360)
+        middle = turn if slot % 4 == 2 else 0  # every second of the one-sided ones is seen from the front
+        near = middle + rng.integers(-SECTOR, SECTOR + 1, AZIMUTHS - whole)
+        around = turn + np.arange(whole) * 360 // AROUND
+        angles = sorted({float(angle) for angle in (*near % 360, *around % 360)})
+        return make_settings(
+            "best",
+            steps=10_000_000,
+            batch=self.settings.batch,
+            seed=self.settings.seed + slot,
+            lr=self.settings.attack_lr,
+            hide=self.settings.hide,
+            size=self.settings.size,
+            translation=self.settings.size // 8,
+            people_share=self.settings.people_share,
+            angles=",".join(f"{angle:g}" for angle in angles),
+            distance=f"{DISTANCES[slot % len(DISTANCES)]}",
+            elevation=f"{ELEVATIONS[slot % len(ELEVATIONS)]}",
+        )

@@ -1,0 +1,84 @@
+"""What hardening needs of a detector, whatever its family: a network that learns, what it was before, a file of it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, ClassVar
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.detectors.families import FAMILIES
+from cloak_core.detectors.specs import parse_spec
+from cloak_core.files.writing import write_text
+
+NAME = "hardened"
+
+
+class Student(ABC):
+    """A detector that learns, and its teacher: what it was.
+
+    Batch norm stays unfolded, so that what is written fits the family's own files, and keeps its running statistics
+    (the network is always in eval mode): they are those of the photographs that it was trained on, and cloaks must not
+    move them. Its scale and shift learn. So the network that is attacked while it learns is the one that will be used.
+    """
+
+    files: ClassVar[tuple[str, ...]]
+    """Endings of what `write` writes beside the licence."""
+
+    def __init__(self, detector: Detector, teacher: Detector, spec: str) -> None:
+        self.detector, self.teacher, self.spec = detector, teacher, spec
+        request = parse_spec(spec)
+        options = spec.rpartition("@")[2] if spec != f"{request.family}:{request.what}".rstrip(":") else ""
+        self.request, self.options = request, f"@{options}" if options else ""
+
+    @property
+    @abstractmethod
+    def network(self) -> nn.Module:
+        """What learns and is written."""
+
+    @abstractmethod
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Any:
+        """What the teacher says of images, for `distance`: its k-th image is to be answered as images[rows[k]] is."""
+
+    @abstractmethod
+    def distance(
+        self,
+        images: Float[Tensor, "B 3 H W"],
+        wanted: Any,
+        surer: Bool[Tensor, B] | None = None,
+        sure: float = 0.0,
+    ) -> Float[Tensor, B]:
+        """How far the student's answers are from those wanted; 0 where they are equal and nothing is to be surer.
+
+        surer: images in which what the teacher reports as a person is to get a score of at least about `sure`.
+        """
+
+    @abstractmethod
+    def save(self, stem: Path, seen: int) -> str:
+        """Write the network as it is into `stem` and the endings in `files`; returns the spec that loads it. seen: how
+        many images it learned from, for formats that say that."""
+
+    def write(self, state: dict[str, Tensor], folder: Path, seen: int) -> str:
+        """Write a state of the network into `folder`, with its licence; returns the spec that loads it."""
+        before = {name: tensor.clone() for name, tensor in self.network.state_dict().items()}
+        try:
+            self.network.load_state_dict(state)
+            spec = self.save(folder / NAME, seen)
+        finally:
+            self.network.load_state_dict(before)
+        write_text(folder / f"{NAME}.licence.txt", self._licence(spec))
+        return spec
+
+    def _licence(self, spec: str) -> str:
+        names = [f"{NAME}{ending}" for ending in self.files]
+        were, theirs, they, them = (
+            ("was", "Its", "it was", "it") if len(names) == 1 else ("were", "Their", "they were", "them")
+        )
+        return (
+            f"{' and '.join(names)} {were} made from the detector {self.spec} by `cloak harden`.\n"
+            f"{theirs} licence is that of what {they} made from: {FAMILIES[self.request.family].licence}.\n"
+            f"Load {them} as {spec}\n"
+        )

@@ -1,0 +1,82 @@
+"""ultralytics' detectors and original YOLOv5 pickles as students, learning from every cell of every branch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from cloak_core.detectors.darknet.heads import Yolo
+from cloak_core.detectors.pixels import YOLO_GREY, fit
+from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
+from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
+from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, Maps, distances, rows
+from cloak_core.files.errors import InputError
+from cloak_core.studies.hardening.answers import Answer, Reading, answer_distance
+from cloak_core.studies.hardening.distillation import distance
+from cloak_core.studies.hardening.student import Student
+
+
+class UltralyticsStudent(Student):
+    """A network with a box at every cell. InputError: RT-DETR, whose queries stand in no order."""
+
+    files = (".pt",)
+    detector: UltralyticsDetector
+    teacher: UltralyticsDetector
+
+    def __init__(self, detector: UltralyticsDetector, teacher: UltralyticsDetector, spec: str) -> None:
+        super().__init__(detector, teacher, spec)
+        if not isinstance(detector.network.model[-1], DenseHead | AnchorHead):
+            raise InputError(f"harden {spec}: cannot train RT-DETR, only networks with a box at every cell")
+
+    @property
+    def network(self) -> nn.Module:
+        return self.detector.network
+
+    def maps(self, detector: UltralyticsDetector, images: Float[Tensor, "B 3 H W"]) -> Maps | list[Tensor]:
+        """What a detector's head says of images, before any activation."""
+        inputs, _ = fit(images, detector.input_size, detector.letterbox, YOLO_GREY)
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16"):
+            return detector.network(inputs)
+
+    @torch.no_grad()
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Answer | list[Tensor]:
+        maps = self.maps(self.teacher, images)
+        if isinstance(self.teacher.network.model[-1], AnchorHead):
+            return [raw[rows] for raw in maps]
+        return _answer(maps).of(rows)
+
+    def distance(
+        self,
+        images: Float[Tensor, "B 3 H W"],
+        wanted: Answer | list[Tensor],
+        surer: Bool[Tensor, B] | None = None,
+        sure: float = 0.0,
+    ) -> Float[Tensor, B]:
+        own, maps = self.detector, self.maps(self.detector, images)
+        head, point = own.network.model[-1], own.operating_point
+        if isinstance(head, AnchorHead):
+            return distance(_yolo_heads(head), maps, wanted, own.person, surer, sure, point)
+        reading = Reading(softmax=False, person=own.person, found_at=point)
+        return answer_distance(_answer(maps), wanted, reading, surer, sure)
+
+    def save(self, stem: Path, seen: int) -> str:
+        path = stem.with_suffix(".pt")
+        write_ultralytics(path, self.network, Path(self.request.what).expanduser())
+        return f"ultralytics:{path}{self.options}"
+
+
+def _answer(maps: Maps) -> Answer:
+    boxes = torch.cat([distances(box) for box, _ in maps], dim=1)
+    return Answer(torch.cat([rows(kind) for _, kind in maps], dim=1), boxes.unsqueeze(2))
+
+
+def _yolo_heads(head: AnchorHead) -> list[Yolo]:
+    """Heads that read YOLOv5's raw maps: in each, an anchor after the other, box, objectness and classes, as Darknet
+    has them."""
+    classes = head.m[0].out_channels // head.anchors.shape[1] - 5
+    return [
+        Yolo([tuple(anchor) for anchor in level], classes, 1.0, new_coords=False) for level in head.anchors.tolist()
+    ]

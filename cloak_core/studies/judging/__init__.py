@@ -1,0 +1,1 @@
+"""Judge photographs of real prints."""

@@ -1,0 +1,187 @@
+"""Judge photographs from beginning to end: who is in them, what detectors report, rates, a report."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import UInt8
+from PIL import Image, ImageOps
+
+from cloak_core.core.detector.outcomes import on_body
+from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.detector.scoring import max_person_score, person_boxes
+from cloak_core.core.evaluation.measure import OnProgress, image_scores, kept_frozen
+from cloak_core.core.evaluation.settings import JudgeSettings
+from cloak_core.core.pictures import open_picture
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json, write_text, written
+from cloak_core.sources.bodies import videos
+from cloak_core.studies.evaluate import check_folder
+from cloak_core.studies.judging.listing import WITH, WITHOUT, Subject, list_subjects
+from cloak_core.studies.judging.page import Picture, write_report
+from cloak_core.studies.report.page import jpeg_uri
+from cloak_core.studies.statistics_photographs import clean_scores, find_partners, summarize_photographs
+
+THUMBNAIL = 480
+"""Longer side of what the report keeps of a picture, pixels."""
+MOST_THUMBNAILS = 2000
+_log = logging.getLogger("cloak")
+
+
+def judge(
+    folder: Path,
+    detectors: Mapping[str, Detector],
+    settings: JudgeSettings | None = None,
+    *,
+    table: Path | None = None,
+    boxes: Path | None = None,
+    out: Path | None = None,
+    on_progress: OnProgress | None = None,
+) -> dict:
+    """Judge the photographs and videos of a folder (see `listing`); contract C7's figures.
+
+    out: takes report.html, summary.json and scores.csv, a line for each subject. InputError: nothing to judge, a bad
+    table, something else in `out`.
+    """
+    settings = settings or JudgeSettings()
+    if not detectors:
+        raise InputError("--detector: none given")
+    if out is not None:
+        check_folder(out)
+    subjects = list_subjects(folder, table, boxes, [] if out is None else [out])
+    with kept_frozen(detectors) as hashes:
+        rows, pictures, skipped = look(folder, subjects, detectors, settings, on_progress)
+    summary = summarize_photographs(rows, settings.threshold, settings.resamples)
+    summary |= {"pictures": len(pictures), "skipped": skipped}
+    summary |= {"settings": asdict(settings), "detector_hashes": hashes}
+    if out is None:
+        return summary
+    with written(out):
+        out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "summary.json", summary)  # first: it marks the folder as a judge's own
+    write_text(out / "scores.csv", _table_text(rows))
+    report = write_report(out / "report.html", folder.resolve().name, summary, rows, pictures)
+    return summary | {"report": str(report)}
+
+
+@torch.no_grad()
+def look(
+    folder: Path,
+    subjects: Sequence[Subject],
+    detectors: Mapping[str, Detector],
+    settings: JudgeSettings,
+    on_progress: OnProgress | None = None,
+) -> tuple[pd.DataFrame, list[Picture], list[str]]:
+    """Show every picture to every detector; return a row per detector and subject, the pictures, and what was skipped.
+
+    Columns: those of `Subject`, place, boxed (whether a box is told), picture (its number), frame, detector,
+    operating_point, score (the best of a person: on the subject's box where one is told, else anywhere in the
+    picture), clean (the score it is compared with, see `clean_scores`), other and other_name (as in `Results`; only
+    where a box is told). A file that cannot be read is skipped with a warning. InputError: no picture with or without
+    the cloak can be read.
+    """
+    by_file: dict[str, list[Subject]] = {}
+    for subject in subjects:
+        by_file.setdefault(subject.file, []).append(subject)
+    rows, pictures, skipped = [], [], []
+    for done, (file, people) in enumerate(by_file.items()):
+        seen = []
+        try:
+            for number, shown in enumerate(_read(folder / file, settings)):
+                seen.append(_look_at((file, number * settings.every), *shown, people, detectors, settings))
+        except InputError as error:
+            seen = []  # half a video
+            skipped.append(str(error).removeprefix(f"{folder}/"))  # others need not know where it lay
+            _log.warning("%s; skipped", error)
+        for picture, found in seen:
+            rows += [row | {"picture": len(pictures)} for row in found]
+            pictures.append(picture if len(pictures) < MOST_THUMBNAILS else replace(picture, thumbnail=""))
+        if on_progress:
+            on_progress(done + 1, len(by_file))
+    if not any(row["garment"] in (WITH, WITHOUT) for row in rows):
+        worn = {one.file for one in subjects if one.garment in (WITH, WITHOUT)}
+        raise InputError(f"{folder}: none of its {len(worn)} pictures with or without the cloak can be read")
+    return _compared(pd.DataFrame(rows), list(detectors)), pictures, skipped
+
+
+def _compared(rows: pd.DataFrame, detectors: Sequence[str]) -> pd.DataFrame:
+    """Add the score that each subject is compared with; put a detector's rows together."""
+    table = rows.astype({"distance": float, "score": np.float32, "other": np.float32})
+    by_detector = [table[(table["detector"] == spec).to_numpy()].reset_index(drop=True) for spec in detectors]
+    partners, garment = find_partners(by_detector[0]), by_detector[0]["garment"].to_numpy()
+    compared = [one.assign(clean=clean_scores(one["score"].to_numpy(), garment, partners)) for one in by_detector]
+    return pd.concat(compared, ignore_index=True).astype({"clean": np.float32})
+
+
+def _look_at(
+    named: tuple[str, int],
+    image: UInt8[np.ndarray, "h w 3"],
+    scale: float,
+    people: Sequence[Subject],
+    detectors: Mapping[str, Detector],
+    settings: JudgeSettings,
+) -> tuple[Picture, list[dict]]:
+    """Show one picture (file and frame) to every detector: what is kept of it, and a row per subject and detector."""
+    rows, boxes = [], {}
+    for spec, detector in detectors.items():
+        found = detector(torch.from_numpy(image).to(detector.device).permute(2, 0, 1)[None].float() / 255)
+        point = float(detector.operating_point)
+        boxes[spec] = person_boxes(found, min(settings.threshold, point))[0].tolist()
+        for one in people:
+            label = vars(one) | {"place": one.place, "boxed": one.box is not None, "frame": named[1]}
+            told = {"detector": spec, "operating_point": point, "other": math.nan, "other_name": ""}
+            rows.append(label | told | _scores(detector, found, one.box, scale, settings.iou))
+    return Picture(*named, image.shape[1], image.shape[0], scale, boxes, _thumbnail(image)), rows
+
+
+def _scores(detector: Detector, found: Detections, box: tuple | None, scale: float, iou: float) -> dict:
+    """Tell what is reported of one person, as columns; of other classes only where the person's box is known."""
+    if box is None:
+        return {"score": float(max_person_score(found)[0])}
+    true = torch.tensor([box], dtype=torch.float32) * scale
+    told = image_scores(detector, found, on_body(found, true, iou, within=math.inf))
+    told["score"] = told.pop("score_on")
+    return {name: values[0] for name, values in told.items()}
+
+
+def _read(path: Path, settings: JudgeSettings) -> Iterator[tuple[UInt8[np.ndarray, "h w 3"], float]]:
+    """Read a photograph, or every `settings.every`-th frame of a video, upright and reduced; yield it and its scale."""
+    if path.suffix.lower() in videos.SUFFIXES:
+        for frame in videos.read_frames(path, settings.every, settings.most_frames):
+            yield _reduced(Image.fromarray(frame), settings.longest)
+    else:
+        with open_picture(path) as picture:
+            upright = ImageOps.exif_transpose(picture).convert("RGB")
+        yield _reduced(upright, settings.longest)
+
+
+def _reduced(picture: Image.Image, longest: int) -> tuple[np.ndarray, float]:
+    scale = min(1.0, longest / max(picture.size))
+    if scale < 1:
+        size = tuple(max(1, round(side * scale)) for side in picture.size)
+        picture = picture.resize(size, Image.Resampling.BOX if scale < 0.5 else Image.Resampling.LANCZOS)
+    return np.array(picture), scale
+
+
+def _thumbnail(image: np.ndarray) -> str:
+    small = Image.fromarray(image)
+    small.thumbnail((THUMBNAIL, THUMBNAIL))
+    return jpeg_uri(small, quality=88)
+
+
+def _table_text(rows: pd.DataFrame) -> str:
+    """List every subject in every picture with each detector's score, as CSV."""
+    columns = {"file": "file", "frame": "frame", "garment": "cloak"}
+    columns |= {name: name for name in ("person", "scene", "distance", "pair", "box")}
+    by_detector = dict(list(rows.groupby("detector", sort=False)))
+    table = next(iter(by_detector.values()))[[*columns]].rename(columns=columns)
+    table["box"] = ["" if box is None else " ".join(f"{x:g}" for x in box) for box in table["box"]]
+    scores = {spec: [f"{score:.4f}" for score in mine["score"]] for spec, mine in by_detector.items()}
+    return table.assign(**scores).to_csv(index=False, lineterminator="\n")

@@ -1,0 +1,150 @@
+"""Show one view of a body, cloaked and in its own clothing, to detectors; for programs that move a camera."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import get_type_hints
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.core.cameras import Camera
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.logo import load_logo
+from cloak_core.core.paint import compose
+from cloak_core.core.pictures import save_picture
+from cloak_core.core.settings.values import from_plain
+from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json, written
+from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.report.pictures import reported, to_pil
+
+ANSWER = "look.json"
+CLOAK = "cloak"
+LEAST_SCORE = 0.05
+"""Boxes with a lower score are left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """One view to look at. Lengths in metres, y up; angles in degrees; see `scene.cameras.Camera`."""
+
+    scene: str
+    """As in cloak train."""
+    out: str
+    """Folder that takes the pictures and `look.json`, made where there is none; an earlier look's are replaced."""
+    logo: str | None = None
+    """Face list; None: nothing is worn but the body's own clothing."""
+    colors: str | None = None
+    """Colours of the logo's faces, .npy; None: the same."""
+    pose: int = 0
+    outfit: int = 0
+    azimuth: float = 0.0
+    elevation: float = 6.0
+    distance: float = 2.2
+    field_of_view: float = 60.0
+    """Vertical."""
+    pivot: tuple[float, float, float] | None = None
+    """The point looked at; None: the middle of the body."""
+    width: int = 416
+    height: int = 416
+    backgrounds: str = "procedural:test"
+    background: int = 0
+    """Which of these; the numbers go around."""
+
+    @staticmethod
+    def of(record: Mapping[str, object]) -> Look:
+        """Read a request from JSON. InputError names the key that is missing, unknown, or not of its kind."""
+        kinds = get_type_hints(Look)
+        unknown = sorted(record.keys() - kinds.keys())
+        missing = sorted({"scene", "out"} - record.keys())
+        if unknown or missing:
+            raise InputError(f"a look has {'no key' if unknown else 'to have'} '{(unknown or missing)[0]}'")
+        values = {name: from_plain(name, value, kinds[name]) for name, value in record.items() if name != "pivot"}
+        pivot = record.get("pivot")
+        if pivot is not None:
+            if not isinstance(pivot, list) or len(pivot) != 3:
+                raise InputError(f"pivot: {pivot!r} is not three numbers")
+            values["pivot"] = tuple(from_plain("pivot", value, float) for value in pivot)
+        return Look(**values)
+
+    @property
+    def camera(self) -> Camera:
+        return Camera(
+            **{field.name: getattr(self, field.name) for field in fields(Camera) if hasattr(self, field.name)}
+        )
+
+
+class Looker:
+    """Answer requests one after the other; keep the last scene and backgrounds open for the next."""
+
+    def __init__(self, detectors: Mapping[str, Detector]) -> None:
+        self._detectors = detectors
+        self._device = next(iter(detectors.values())).device
+        self._scene: tuple[object, Bodies, ViewCache] | None = None
+        self._backdrops: tuple[str, Backgrounds] | None = None
+
+    @torch.no_grad()
+    def look(self, asked: Look) -> dict:
+        """Render the view in own clothing and, where there are colours, cloaked; ask every detector; write pictures.
+
+        Returns {"detectors": {SPEC: {"operating_point": x, "clothing": SEEN, "cloak": SEEN}}, "pictures": {"clothing":
+        path, ...}, "width", "height", "seconds"}, SEEN = {"max_person": best score, "boxes": [[x1, y1, x2, y2, score],
+        ...] in pixels, best first, those above `LEAST_SCORE`}; it lies in `look.json`, too. InputError: as for
+        `evaluate`.
+        """
+        begun = time.monotonic()
+        images, folder = self._images(asked), Path(asked.out)
+        seen = {spec: {"operating_point": judge.operating_point} for spec, judge in self._detectors.items()}
+        with written(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        pictures = {name: folder / f"{name}.png" for name in images}
+        for name, image in images.items():
+            said = reported(image, self._detectors, LEAST_SCORE)
+            for spec, mine in seen.items():
+                mine[name] = {"max_person": said["scores"][spec], "boxes": said["boxes"][spec]}
+            save_picture(pictures[name], to_pil(image[0]))
+        told = {"detectors": seen, "pictures": {name: str(path) for name, path in pictures.items()}}
+        told |= {"width": asked.width, "height": asked.height, "seconds": round(time.monotonic() - begun, 3)}
+        write_json(folder / ANSWER, told)
+        return told
+
+    def _images(self, asked: Look) -> dict[str, Float[Tensor, "1 3 H W"]]:
+        bodies, view_cache = self._open(asked.scene)
+        if not 0 <= asked.pose < bodies.pose_count:
+            raise InputError(f"pose {asked.pose}: scene '{bodies.name}' has {bodies.pose_count}")
+        worn = asked.logo is not None and asked.colors is not None
+        # Without a cloak any face will do: it gets the colour that it has.
+        ids = load_logo(bodies, asked.logo).face_ids if worn else np.zeros(1, np.int64)
+        view = view_cache.bake(asked.pose, asked.camera, ids, asked.outfit)
+        backdrops = self._backgrounds(asked.backgrounds)
+        behind = backdrops.batch([asked.background % len(backdrops)], asked.height, asked.width).to(self._device)
+        colors = {CLOTHING: bodies.face_colors[asked.outfit, ids]}
+        if worn:
+            colors[CLOAK] = read_colors(Path(asked.colors), len(ids))
+        put = lambda values: torch.tensor(np.asarray(values, np.float32), device=self._device)
+        return {name: compose([view], put(values), behind, None, None) for name, values in colors.items()}
+
+    def _open(self, spec: str) -> tuple[Bodies, ViewCache]:
+        files = [path for path in (Path(spec), Path(spec) / "bodies.npz") if path.exists()]
+        key = (spec, tuple(path.stat().st_mtime_ns for path in files))
+        if self._scene is None or self._scene[0] != key:
+            bodies = load_scene(spec)
+            self._scene = key, bodies, ViewCache(bodies, RenderSettings(device=self._device, memory_bytes=1 << 28))
+        return self._scene[1:]
+
+    def _backgrounds(self, spec: str) -> Backgrounds:
+        if self._backdrops is None or self._backdrops[0] != spec:
+            self._backdrops = spec, load_backgrounds(spec)
+        return self._backdrops[1]

@@ -1,0 +1,296 @@
+"""Figures as declarations over rows of a table: what lies along x, what tells series and panels apart.
+
+A row holds plain values: labels, and a share `success` in [0, 1] with its bounds `low` and `high` where there are any.
+Whatever shows rates (experiments, reports, cards) makes such rows and draws them here, inside `style.style`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
+
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.studies.report.style import (
+    INK,
+    SERIES,
+    WIDTH,
+    azimuth_axis,
+    legend_above,
+    look_of,
+    new_figure,
+    panel_title,
+    percent_along_x,
+    percent_axis,
+)
+from cloak_core.studies.report.words import short_names
+
+Rows = list[dict]
+"""Rows of a table: plain values by column."""
+SPECS = ("detector", "trained_on", "tested_on")
+"""Columns that hold detectors' specs."""
+AXES = {
+    "angle": "azimuth (degrees)",
+    "distance": "distance (m)",
+    "area_share": "share of the body's area (%)",
+    "logo_faces": "faces of the logo",
+    "cpu_seconds": "processor time of training (s)",
+    "seconds": "training time (s)",
+    "steps": "updates of the attack",
+    "tv_weight": "weight of total variation",
+    "clean_recall": f"clean recall at {THRESHOLD:g} (%)",
+    "false_alarms": f"false alarms at {THRESHOLD:g} (%)",
+    "pattern_alarms": "alarms on cloth (%)",
+    "threshold": "detection threshold",
+    "within": "mean CIEDE2000 from the print, at most (100: no bound)",
+}
+"""What columns are called along an axis."""
+PERCENT = ("area_share", "clean_recall", "false_alarms", "pattern_alarms")
+"""Columns shown in per cent along an axis."""
+MOST_MARKERS = 30
+"""Points of a control's line that are marked."""
+
+
+def rated(record: Mapping, name: str = "success", bounds: str = "ci95") -> dict:
+    """Read a rate and its interval from a record, as columns of a row: success, low, high."""
+    low, high = record[bounds]
+    return {"success": record[name], "low": low, "high": high}
+
+
+def select(rows: Rows, **values: object) -> Rows:
+    """Select the rows with these values."""
+    return [row for row in rows if all(row.get(key) == value for key, value in values.items())]
+
+
+def group(rows: Rows, key: str) -> dict[Any, Rows]:
+    """Group rows by their value in a column, in order; all in one group where `key` is empty."""
+    if not key:
+        return {"": rows} if rows else {}
+    return {value: select(rows, **{key: value}) for value in dict.fromkeys(row[key] for row in rows)}
+
+
+def column(rows: Rows, key: str = "success") -> list:
+    """Select one column."""
+    return [row[key] for row in rows]
+
+
+def detector_names(rows: Rows) -> dict[str, str]:
+    """Name the detectors of these rows shortly, by spec."""
+    return short_names(str(row[key]) for row in rows for key in SPECS if row.get(key) is not None)
+
+
+def floats(rows: Rows, key: str = "success") -> Float[np.ndarray, " R"]:
+    """Select one column of numbers; nan where there is none."""
+    return np.array(column(rows, key), float)
+
+
+def errors(rows: Rows, value: str = "success", low: str = "low", high: str = "high") -> Float[np.ndarray, "2 R"]:
+    """Compute how far the intervals reach below and above each rate."""
+    middle = floats(rows, value)
+    return np.clip([middle - floats(rows, low), floats(rows, high) - middle], 0, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """Success over a numeric column: a line for each series, panels side by side."""
+
+    x: str
+    y: str = "success"
+    series: str = ""
+    panel: str = ""
+    where: Mapping[str, object] = field(default_factory=dict)
+    """Which rows are shown, by column."""
+    keep: Callable[[Rows], Rows] = lambda rows: rows
+    """Which rows are shown, by comparing them."""
+    label: str = "{}"
+    """Of a series, from its value."""
+    rate: str = "attack success"
+    """What success is called."""
+    interval: str = "band"
+    """How intervals are drawn: band, bars, or "" for none: bands of many curves in one place hide each other."""
+    clothing: bool = False
+    """Whether own clothing on the same images is drawn, of the first series."""
+    beside: Mapping[str, str] = field(default_factory=dict)
+    """Further columns drawn in the same place, with their labels."""
+    points: Mapping[str, object] = field(default_factory=dict)
+    """Further rows of each series, drawn as crosses; the last value names them."""
+    log: bool = False
+    even: bool = False
+    """Whether values of x stand at even distances."""
+    mark: float = THRESHOLD
+    """The detection threshold that is marked where thresholds lie along x."""
+    size: tuple[float, float] = (WIDTH, 2.9)
+    """Width and height, inches."""
+
+    def draw(self, rows: Rows, thresholds: Sequence = ()) -> Figure | None:
+        """Draw the rows that have a number in column `x`."""
+        names, rows = detector_names(rows), [r for r in rows if isinstance(r.get(self.x), (int, float))]
+        crosses = select(rows, **self.points) if self.points else []
+        chosen = select(self.keep(rows), **self.where)
+        panels, series = group(chosen, self.panel), list(group(chosen, self.series))
+        if not panels:
+            return None
+        figure, axes = new_figure(*self.size, len(panels), sharey=True)
+        for axis, (panel, mine) in zip(axes, panels.items(), strict=True):
+            places = self._places(mine + crosses)
+            for value, line in group(mine, self.series).items():
+                k = series.index(value)
+                look, aside = self._look(k, value, names, line), 0.08 * (k - (len(series) - 1) / 2) if self.even else 0
+                line = sorted(line, key=lambda row: row[self.x])
+                self._line(axis, [float(places[row[self.x]] + aside) for row in line], line, look, first=not k)
+                self._cross(axis, places, select(crosses, **{self.series: value} if self.series else {})[:1], look)
+            panel_title(axis, names.get(panel, str(panel)), len(panels))
+            self._x_axis(axis, places)
+        self._y_axis(axes[0])
+        legend_above(figure)
+        return figure
+
+    def _cross(self, axis: Axes, places: Mapping, rows: Rows, look: Mapping) -> None:
+        for row in rows:
+            label = f"{look['label']}, {list(self.points.values())[-1]}"
+            axis.plot([places[row[self.x]]], [row[self.y]], ls="", marker="x", color=look["color"], label=label)
+
+    def _places(self, rows: Rows) -> dict:
+        """Find the places of the values of x along the axis."""
+        values = sorted(set(column(rows, self.x)))
+        if self.even:
+            return {value: k for k, value in enumerate(values)}
+        return {value: 100 * value if self.x in PERCENT else value for value in values}
+
+    def _look(self, k: int, value: object, names: Mapping[str, str], line: Rows) -> dict:
+        look = {"label": names.get(value) or self.label.format(value)} | look_of(k, value)
+        if value in SERIES and (self.x == "threshold" or len(line) > MOST_MARKERS):
+            look["marker"] = None
+        if all(row.get("n") == 1 for row in line):
+            look["ls"] = "none"  # yes or no of single images: a line would make a trend of them
+        return look
+
+    def _line(self, axis: Axes, x: Sequence[float], rows: Rows, look: dict, *, first: bool) -> None:
+        if self.interval == "bars":
+            axis.errorbar(x, floats(rows), errors(rows), lw=1.4, capsize=2, clip_on=False, **look)
+        elif self.interval == "band" and "low" in rows[0]:
+            axis.plot(x, floats(rows), clip_on=False, zorder=3, **look)
+            axis.fill_between(x, floats(rows, "low"), floats(rows, "high"), color=look["color"], alpha=0.15, lw=0)
+        else:
+            axis.plot(x, floats(rows, self.y), clip_on=False, **look)
+        for k, (key, label) in enumerate(self.beside.items()):
+            axis.plot(x, column(rows, key), mfc="white", **look_of(k + 1) | {"label": label})
+        if self.clothing and first:
+            own = SERIES[CLOTHING]
+            axis.plot(x, column(rows, CLOTHING), color=INK, lw=1.2, ls=":", marker=own.marker, label=own.label)
+
+    def _x_axis(self, axis: Axes, places: Mapping) -> None:
+        if self.x == "angle":
+            azimuth_axis(axis)
+        if self.x == "threshold":
+            axis.axvline(self.mark, color=INK, lw=0.8, ls=":", zorder=0)
+        axis.set_xlabel(AXES.get(self.x, self.x.replace("_", " ")))
+        if self.log:
+            axis.set_xscale("log")
+            axis.xaxis.set_major_formatter(LogFormatter())
+            axis.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
+        if self.even:
+            axis.set_xticks(
+                range(len(places)), [f"{value:,}" if isinstance(value, int) else f"{value:g}" for value in places]
+            )
+
+    def _y_axis(self, axis: Axes) -> None:
+        if self.y == "success":
+            percent_axis(axis, self.rate)
+        else:
+            axis.set_ylim(bottom=0)
+            axis.set_ylabel(AXES.get(self.y, self.y.replace("_", " ")))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bars:
+    """Success along x with intervals: a line down for each value of a column, panels side by side."""
+
+    y: str
+    series: str = ""
+    panel: str = ""
+    labels: Mapping[object, str] = field(default_factory=dict)
+    """What series are called; rows of others are left out."""
+    controls: Sequence[str] = ()
+    """Drawn as marks on the same lines."""
+    own: bool = False
+    """Whether success at 0.6 and at the detectors' own thresholds are the two series."""
+    rate: str = "attack success"
+    """What success is called."""
+
+    def draw(self, rows: Rows, thresholds: Sequence = ()) -> Figure | None:
+        """Draw every row of a series."""
+        names = detector_names(rows)
+        rows = [row for row in rows if not self.labels or row[self.series] in self.labels]
+        lines, panels = list(group(rows, self.y)), group(rows, self.panel)
+        room = 0.28 if not self.series else max(0.42, 0.1 * len(group(rows, self.series)))
+        figure, axes = new_figure(WIDTH, 1.0 + room * len(lines), len(panels), sharey=True)
+        for axis, (panel, mine) in zip(axes, panels.items(), strict=True):
+            self._axis(axis, [names.get(line, str(line)) for line in lines])
+            series = self._series(rows, mine)
+            for k, (label, (shown, keys, value)) in enumerate(series.items()):
+                aside = (0.3 if len(series) < 3 else 0.6) * (k - (len(series) - 1) / 2) / max(1, len(series) - 1)
+                at, bars, look = (
+                    [lines.index(row[self.y]) + aside for row in shown],
+                    errors(shown, *keys),
+                    look_of(k, value),
+                )
+                look = {"fmt": look["marker"], "color": look["color"], "label": look.get("label", label) or None}
+                axis.errorbar(floats(shown, *keys[:1]), at, xerr=bars, lw=1.2, clip_on=False, **look)
+            for k, control in enumerate(self.controls, 1):
+                at = [lines.index(row[self.y]) + 0.15 * k for row in mine]
+                axis.plot(column(mine, control), at, **look_of(0, control) | {"ls": ""})
+            panel_title(axis, names.get(panel, str(panel)), len(panels))
+        legend_above(figure)
+        return figure
+
+    def _axis(self, axis: Axes, names: Sequence[str]) -> None:
+        percent_along_x(axis, self.rate)
+        axis.set_yticks(range(len(names)), names)
+        axis.set_ylim(len(names) - 0.5, -0.5)
+        axis.grid(axis="y", visible=False)
+
+    def _series(self, rows: Rows, mine: Rows) -> dict[str, tuple[Rows, tuple[str, ...], object]]:
+        """List a panel's rows, the columns of their rates, and their value by label; colours agree between panels."""
+        if self.own:
+            own = mine, ("success_own", "own_low", "own_high"), None
+            return {f"threshold {THRESHOLD:g}": (mine, (), None), "own operating point": own}
+        labels = self.labels or ({"": SERIES[LOGO].label} if self.controls else {})
+        return {
+            labels.get(value, str(value)): (select(mine, **{self.series: value}) if self.series else mine, (), value)
+            for value in group(rows, self.series)
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rings:
+    """Success around the body, seen from above, a ring for each series; own clothing beside them where it is told."""
+
+    series: str
+    where: Mapping[str, object] = field(default_factory=dict)
+
+    def draw(self, rows: Rows, thresholds: Sequence = ()) -> Figure | None:
+        """Draw the rows that have an angle; the last ring alone has its band: on a circle only one can be read."""
+        rings = group([row for row in select(rows, **self.where) if row["angle"] != "all"], self.series)
+        figure, (axis,) = new_figure(WIDTH * 0.75, 4.2, subplot_kw={"projection": "polar"})
+        for k, (label, mine) in enumerate(rings.items()):
+            closed = [*mine, mine[0]]
+            at, look = np.unwrap(np.radians(column(closed, "angle"))), look_of(k) | {"marker": None, "label": label}
+            axis.plot(at, floats(closed), **look)
+        axis.fill_between(at, floats(closed, "low"), floats(closed, "high"), color=look["color"], alpha=0.12, lw=0)
+        if CLOTHING in mine[0]:
+            axis.plot(at, column(closed, CLOTHING), color=INK, ls=":", lw=1.2, label=SERIES[CLOTHING].label)
+        axis.set_theta_zero_location("S")  # the front at the bottom, as the camera sees it at azimuth 0
+        axis.set_ylim(0, 1)
+        axis.set_rlabel_position(135)
+        axis.set_yticks([0.25, 0.5, 0.75, 1], ["", "50 %", "", "100 %"])
+        axis.set_xticks(np.radians([0, 90, 180, 270]), ["front", "left", "back", "right"])
+        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left")
+        return figure

@@ -1,0 +1,92 @@
+"""Build pages from templates: HTML that opens offline, every picture and plot inside and no script, and Markdown."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+from PIL import Image
+
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_bytes, read_text
+from cloak_core.files.writing import write_text
+from cloak_core.studies.report import words
+from cloak_core.studies.report.style import inline_svg, style
+
+TEMPLATES = Path(__file__).parent / "templates"
+MAX_PICTURE = 16 << 20
+"""Bytes; larger picture files are left out."""
+
+
+def write_page(path: Path, template: str, values: Mapping[str, object]) -> Path:
+    """Render a template of `TEMPLATES` with these values into the file `path`; return it.
+
+    The template also gets `css`, the style of all pages. What is put into HTML is escaped unless it is Markup.
+    """
+    css = Markup(read_text(TEMPLATES / "style.css", MAX_TEXT_BYTES))  # our own file, nothing of the user's
+    text = _environment().get_template(template).render({"css": css} | dict(values))
+    write_text(path, text.rstrip() + "\n")
+    return path
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=jinja2.select_autoescape(("html",)),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    formats = (words.percent, words.interval, words.degrees, words.control_label, words.short_name)
+    formats += (words.duration, words.instead, words.most_named, words.plain)
+    environment.filters["record"] = lambda value: value if isinstance(value, dict) else {}
+    environment.filters |= {write.__name__: write for write in formats}
+    return environment
+
+
+def page_style() -> object:
+    """Open the plots' style for a page, in which text stays text."""
+    return style(**{"svg.fonttype": "none"})
+
+
+def svg(figure: Figure) -> Markup:
+    """Convert a figure to markup. Matplotlib escapes the text it draws."""
+    return Markup(inline_svg(figure))
+
+
+def data_uri(path: Path) -> str:
+    """Read a picture file as a data: address. InputError where it is missing or larger than `MAX_PICTURE`."""
+    data = read_bytes(path, MAX_PICTURE)
+    kind = {".jpg": "jpeg", ".png": "png", ".gif": "gif"}.get(path.suffix, "png")
+    return _encoded(data, kind)
+
+
+def jpeg_uri(picture: Image.Image, quality: int) -> str:
+    """Encode a picture as JPEG in a data: address."""
+    data = io.BytesIO()
+    picture.save(data, "JPEG", quality=quality)
+    return _encoded(data.getvalue(), "jpeg")
+
+
+def _encoded(data: bytes, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def shot(folder: Path, specs: Sequence[str], picture: Mapping) -> dict:
+    """Prepare a picture that `pictures.write_shot` wrote for the template's macro `shot`.
+
+    Returns its data, its boxes, and (detector's number, found, best score) of every detector.
+    """
+    boxes = [box(d, b[:4], b[4]) for d, spec in enumerate(specs) for b in picture["boxes"].get(spec, [])]
+    found = [(d, bool(picture["boxes"].get(spec)), picture["scores"].get(spec, 0)) for d, spec in enumerate(specs)]
+    return {"image": data_uri(folder / Path(picture["file"]).name), "boxes": boxes, "found": found}
+
+
+def box(detector: int, corners: Sequence[float], score: float) -> dict:
+    """Prepare a box (x1, y1, x2, y2) of the detector with this number for the template."""
+    x1, y1, x2, y2 = corners
+    return {"d": detector, "x": x1, "y": y1, "w": max(x2 - x1, 0), "h": max(y2 - y1, 0), "score": f"{score:.2f}"}

@@ -1,0 +1,178 @@
+"""Draw pictures of an evaluation.
+
+Rules decide which images are shown, before anyone has seen a score, or by the scores alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float
+from matplotlib import font_manager
+from PIL import Image, ImageFont
+from torch import Tensor
+
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.detector.scoring import max_person_score, person_boxes
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.renderer import EvaluationRenderer
+from cloak_core.core.evaluation.results import Results
+from cloak_core.core.evaluation.statistics import hidden, share
+from cloak_core.core.evaluation.trials import complete
+from cloak_core.core.pictures import save_picture
+
+BODIES = 3
+ANGLES = 5
+FAILURES = 6
+WORST = 10
+SOFT, PAPER = "#59636e", "#ffffff"
+"""Colours of what stands beside names, and of the ground."""
+
+
+@torch.no_grad()
+def write_pictures(
+    folder: Path, renderer: EvaluationRenderer, results: Results, detectors: Mapping[str, Detector], threshold: float
+) -> dict:
+    """Write an evaluation's pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
+
+    `gallery`: the first image drawn of up to 3 bodies at up to 5 angles (evenly spaced), in own clothing and cloaked;
+    `failures`: per detector, the cloaked images with the highest scores above the threshold; `worst`: per detector, of
+    the bodies that the cloak hides least often the image with the highest score, and its success; `controls`: one image
+    under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
+    """
+    pair = lambda trial: draw_pair(folder, renderer, trial, detectors, threshold)
+    trials = complete(renderer.trials)
+    shown = gallery_trials(trials)
+    middle = shown[len(shown) // (2 * trials.loc[shown, "pose"].nunique())]
+    controls = draw_trial(folder, renderer, middle, results.controls, detectors, threshold)
+    failures, worst = {}, {}
+    for spec in results.detectors:
+        rows = results.rows(spec, LOGO)
+        failures[spec] = [pair(trial) for trial in failure_trials(rows, threshold)]
+        worst[spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
+    return {
+        "gallery": [pair(trial) for trial in shown],
+        "failures": failures,
+        "worst": worst,
+        "controls": describe(renderer, middle) | {"images": controls},
+        "flat": {side: write_flat(folder, side, rgba) for side, rgba in renderer.flat_views().items()},
+    }
+
+
+def gallery_trials(trials: pd.DataFrame) -> list[int]:
+    """Choose the first image of up to 3 bodies (evenly spaced) at up to 5 angles (likewise), in that order.
+
+    Of a body without an image at an angle (few images were asked for) the one nearest to it, once.
+    """
+    pose, angle = trials["pose"].to_numpy(), np.nan_to_num(trials["angle"].to_numpy())
+    angles = _spaced(np.unique(angle), ANGLES)
+    images = [np.flatnonzero(pose == p) for p in _spaced(np.unique(pose), BODIES)]
+    return list(dict.fromkeys(int(own[np.abs(angle[own] - a).argmin()]) for own in images for a in angles))
+
+
+def _spaced(values: np.ndarray, count: int) -> np.ndarray:
+    """Choose at most `count` of the values, evenly spaced."""
+    return values[np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)]
+
+
+def failure_trials(rows: pd.DataFrame, threshold: float) -> list[int]:
+    """Choose the cloaked images with a reported person and the highest scores, best first."""
+    return first_by(rows[~hidden(rows, threshold)], FAILURES)["image"].tolist()
+
+
+def first_by(rows: pd.DataFrame, count: int, by: Sequence[str] = ("score",), ascending: bool = False) -> pd.DataFrame:
+    """Select the rows with the highest scores, or the lowest, in this order; equals in the order of images."""
+    return rows.sort_values([*by], ascending=ascending, kind="stable").head(count)
+
+
+def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]]:
+    """Choose the image with the highest score of the ten bodies with the lowest success below 1; also that success.
+
+    The worst first, equals by their mean score.
+    """
+    found = []
+    for _, mine in rows.groupby("pose"):
+        score = mine["score"].to_numpy()
+        found.append((share(mine, threshold), -float(score.mean()), int(mine["image"].to_numpy()[score.argmax()])))
+    return [(trial, success) for success, _, trial in sorted(found)[:WORST] if success < 1]
+
+
+def describe(renderer: EvaluationRenderer, trial: int) -> dict:
+    """Say what one trial shows, as plain values; None for what its view does not have."""
+    row = renderer.trials.loc[trial]
+    known = lambda name: None if pd.isna(row.get(name)) else float(row[name])
+    named = lambda names, name: names[int(row[name])] if 0 <= row.get(name, -1) < len(names) else None
+    return {
+        "trial": int(trial),
+        "body": named(renderer.body_names, "pose"),
+        "angle": known("angle"),
+        "distance": None if known("distance") is None else round(known("distance"), 4),
+        "background": named(renderer.background_names, "background"),
+    }
+
+
+def draw_pair(
+    folder: Path, renderer: EvaluationRenderer, trial: int, detectors: Mapping[str, Detector], threshold: float
+) -> dict:
+    """Write one trial in own clothing and cloaked; return what the pictures show and what is found in them."""
+    shots = draw_trial(folder, renderer, trial, (CLOTHING, LOGO), detectors, threshold)
+    return describe(renderer, trial) | shots
+
+
+@torch.no_grad()
+def draw_trial(
+    folder: Path,
+    renderer: EvaluationRenderer,
+    trial: int,
+    controls: Sequence[str],
+    detectors: Mapping[str, Detector],
+    threshold: float,
+) -> dict[str, dict]:
+    """Write one trial under these controls; return by control the file and what each detector reports in it."""
+    images = renderer.compose(renderer.views([trial]), [trial], controls)
+    return {
+        control: write_shot(folder / f"{trial:05d}-{control}.jpg", image, detectors, threshold)
+        for control, image in zip(controls, images, strict=True)
+    }
+
+
+@torch.no_grad()
+def write_shot(
+    path: Path, image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float
+) -> dict:
+    """Write one image as JPEG; return its file, and each detector's boxes above the threshold and best score."""
+    save_picture(path, to_pil(image[0]), quality=92, subsampling=0)
+    return {"file": path.name} | reported(image, detectors, threshold)
+
+
+@torch.no_grad()
+def reported(image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float) -> dict:
+    """Tell each detector's `boxes` above the threshold (x1, y1, x2, y2, score, best first) and its best `scores`."""
+    boxes, scores = {}, {}
+    for spec, detector in detectors.items():
+        found = detector(image)
+        scores[spec] = round(float(max_person_score(found)[0]), 4)
+        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, threshold)[0].tolist()]
+    return {"boxes": boxes, "scores": scores}
+
+
+def write_flat(folder: Path, side: str, rgba: Float[Tensor, "h w 4"]) -> str:
+    """Write a flat view as PNG and return its file name."""
+    name = f"flat-{side}.png"
+    save_picture(folder / name, Image.fromarray((rgba * 255).round().byte().cpu().numpy(), "RGBA"), optimize=True)
+    return name
+
+
+def to_pil(image: Float[Tensor, "3 H W"]) -> Image.Image:
+    """Convert an image in [0, 1] to a picture."""
+    return Image.fromarray((image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy())
+
+
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """Load the plots' font, which comes with matplotlib."""
+    properties = font_manager.FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")
+    return ImageFont.truetype(font_manager.findfont(properties), size)

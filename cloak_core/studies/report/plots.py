@@ -1,0 +1,265 @@
+"""The plots of evaluations, trainings, judged photographs, cards and matrices. Call them inside `style.style`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cloak_core.core.detector import THRESHOLD
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.results import Results
+from cloak_core.core.evaluation.statistics import hidden_rate, rate_row, share
+from cloak_core.studies.card.leaderboard import name_of
+from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows, rated
+from cloak_core.studies.report.style import CYCLE, SERIES, WIDTH, new_figure, percent_axis
+from cloak_core.studies.report.words import short_name
+from cloak_core.studies.statistics_card import KINSHIPS
+from cloak_core.studies.trained_run import History
+
+MOST_BODIES = 40
+"""Bodies that a plot names one by one."""
+RECALL_WAYS = {"distance": "distance (m)", "azimuth": "azimuth (degrees)", "elevation": "elevation (degrees)"}
+MOST_BARS = 20
+"""Bodies and poses that are named."""
+HIDDEN, FOUND = "people hidden", "found in own clothing"
+WIDE = (1.5 * WIDTH, 3.2)
+MARKS = dict(zip(KINSHIPS, ("", " *"), strict=True))
+"""Beside the name of a judged detector, by its kinship."""
+BARS = Bars(y="name", rate=HIDDEN)
+
+
+def evaluation_figures(results: Results, detector: str, threshold: float) -> dict[str, Figure | None]:
+    """Plot success of the trained colours with its 95 % interval, and of every control, by title.
+
+    By angle, distance and body where the images have these (several distances); by the detection threshold.
+    """
+    seen, figures = results.rows(detector, results.controls[0]), {}
+    for column, least, size in (("angle", 1, (2 * WIDTH, 3.0)), ("distance", 2, Lines.size)):
+        if seen[column].nunique() >= least:
+            lines = Lines(x=column, series="control", size=size)
+            figures[f"Success by {column}"] = lines.draw(_rows(results, detector, column, threshold))
+    if seen["body"].nunique():
+        figures["Success by body"] = success_by_body(results, detector, threshold)
+    return figures | {"Success by threshold": success_by_threshold(results, detector, threshold)}
+
+
+def success_by_body(results: Results, detector: str, threshold: float) -> Figure | None:
+    """Plot success of trained colours and controls on each body with intervals; of many bodies sorted, without."""
+    many = results.trials["pose"].nunique() > MOST_BODIES
+    rows = _rows(results, detector, "pose", threshold, () if many else results.controls)
+    if not many:
+        return Bars(y="body", series="control").draw([row | {"body": results.body_names[row["pose"]]} for row in rows])
+    along = "bodies, from the worst to the best"
+    ranked = [
+        {"control": control, along: rank, "success": value}
+        for control in results.controls
+        for rank, value in enumerate(sorted(row["success"] for row in rows if row["control"] == control), 1)
+    ]
+    return Lines(x=along, series="control").draw(ranked)
+
+
+def success_by_threshold(results: Results, detector: str, threshold: float) -> Figure | None:
+    """Plot the share of images without a person box above t for every t; `threshold` is marked."""
+    grid = np.linspace(0, 1, 201)
+    rows = [
+        {"control": control, "threshold": float(t), "success": float(value)}
+        for control in results.controls
+        for scores in [np.sort(results.scores(detector, control))]
+        for t, value in zip(grid, np.searchsorted(scores, grid, side="right") / len(scores), strict=True)
+    ]
+    return Lines(x="threshold", series="control", mark=threshold).draw(rows)
+
+
+def _rows(results: Results, detector: str, column: str, threshold: float, intervals: Sequence[str] = (LOGO,)) -> Rows:
+    """Make a row for each control and value of a column: success, with its interval where asked for."""
+    return [
+        {"control": control, column: value}
+        | (rate_row(hidden_rate(rows, threshold)) if control in intervals else {})
+        | {"success": share(rows, threshold), "n": len(rows)}
+        for control in results.controls
+        for value, rows in results.rows(detector, control).groupby(column)
+    ]
+
+
+def success_over_time(rows: Sequence[Mapping]) -> Figure | None:
+    """Plot the rows of `over_time` over queries, where it was a search, else seconds, else steps."""
+    along = next(key for key in ("queries", "seconds", "step") if all(row.get(key) is not None for row in rows))
+    told = [
+        {"detector": spec, along: row[along], **rated(record)}
+        for row in rows
+        for spec, record in row["detectors"].items()
+    ]
+    return Lines(x=along, series="detector").draw(told)
+
+
+def found_by_distance(groups: Mapping[str, Mapping], labels: Mapping[str, str]) -> Figure | None:
+    """Plot the share of people found over the distance (keys, metres), with and without the cloak.
+
+    groups: by distance and by side ("with", "without"), a record with `detected`; labels: the sides' names.
+    """
+    rows = [
+        {"picture": label, "distance": float(key), **rated(told[side], "detected", "ci95_detected")}
+        for side, label in labels.items()
+        for key, told in groups.items()
+        if told[side]["detected"] is not None
+    ]
+    return Lines(x="distance", series="picture", rate="found").draw(rows)
+
+
+# --- robustness cards
+
+
+def card_figures(card: dict) -> dict[str, Figure | None]:
+    """Draw one card, by the names that its page knows: people found, and people hidden; what it has figures for."""
+    figures = {"recall": recall([card])}
+    for way in ("body", "pose"):
+        worst = sorted(card["recall_by"][way].items(), key=lambda pair: pair[1]["recall_own"])[:MOST_BARS]
+        figures[f"by_{way}"] = Bars(y="name", rate=FOUND).draw(_own_rows("name", worst, "recall"))
+    called = {name: series.label for name, series in SERIES.items()} | {"noise": "black and white"}
+    controls = [(called.get(name, name), row) for name, row in card["controls"].items()]
+    figures["controls"] = BARS.draw(_own_rows("name", controls))
+    if zoo := card["black_box"]["zoo"]:
+        against = [(row["name"] + " (made against it)" * bool(row["trained_against_it"]), row) for row in zoo]
+        figures["zoo"] = BARS.draw(_own_rows("name", against))
+    if card["white_box"]:
+        figures |= {"area": by_area(card), "threshold": by_threshold(card)}
+    if card.get("around"):
+        by_angle = [(float(angle), row) for angle, row in card["around"]["by_angle"].items()]
+        label = {"cloak": "cloak for the full circle"}
+        figures["around"] = Rings(series="cloak").draw([label | row for row in _own_rows("angle", by_angle)])
+    return figures
+
+
+def comparison_figures(cards: Sequence[dict]) -> dict[str, Figure | None]:
+    """Draw what compares cards, by title: people hidden over the cloak's area, each at its own threshold; recall."""
+    rows = [
+        {"name": name_of(card), "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
+        for card in cards
+        for row in card["white_box"]
+    ]
+    lines = Lines(x="area_share", series="name", rate=HIDDEN, size=WIDE)
+    area = "People hidden against the cloak's area, at each one's own threshold"
+    return ({area: lines.draw(rows)} if rows else {}) | {"Found in own clothing": recall(cards)}
+
+
+def by_area(card: dict) -> Figure | None:
+    """Plot people hidden over the cloak's area, at both thresholds, and what the same faces do untrained."""
+    beside = {"at_0.6": f"cloak, at {THRESHOLD:g}"}
+    beside |= {f"{control}_own": SERIES[control].label for control in ("random", CLOTHING)}
+    rows = [
+        row
+        | {"at": f"cloak, at the detector's own {card['operating_point']:g}"}
+        | {"at_0.6": row["success"], "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
+        for row in card["white_box"]
+    ]
+    return Lines(x="area_share", series="at", beside=beside, rate=HIDDEN).draw(rows)
+
+
+def by_threshold(card: dict) -> Figure | None:
+    """Plot people hidden over the detection threshold, a line for each area."""
+    rows = [
+        {"cloak": f"{100 * row['area']:.0f} % of the body, mean {100 * row['masr']:.0f} %"}
+        | {"threshold": float(t), "success": value}
+        for row in card["white_box"]
+        for t, value in row["by_threshold"].items()
+    ]
+    return Lines(x="threshold", series="cloak", rate=HIDDEN).draw(rows)
+
+
+def recall(cards: Sequence[dict]) -> Figure | None:
+    """Plot recall in own clothing by distance, azimuth and elevation; a line for each detector."""
+    rows = [
+        {"name": name_of(card), "way": label, **row}
+        for way, label in RECALL_WAYS.items()
+        for card in cards
+        for row in _own_rows("", ((float(value), row) for value, row in card["recall_by"][way].items()), "recall")
+    ]
+    return Lines(x="", series="name", panel="way", rate=FOUND, size=WIDE).draw(rows)
+
+
+def _own_rows(column: str, records: Iterable[tuple[object, dict]], name: str = "success") -> Rows:
+    """Make rows of labelled records: the rate at the detector's own threshold, with its interval."""
+    return [{column: label, **rated(record, f"{name}_own", "ci95_own")} for label, record in records]
+
+
+# --- training, and matrices
+
+
+def training_curves(history: History) -> Figure:
+    """Plot losses over the steps, and the success that training saw on its own images."""
+    shown = {"Loss": history.losses, "Success on training images": {"success": history.success}}
+    shown = {title: curves for title, curves in shown.items() if any(curves.values())}
+    figure, axes = new_figure(width=2 * WIDTH, columns=len(shown), height=2.8)
+    for axis, (title, curves) in zip(axes, shown.items(), strict=True):
+        for k, (name, points) in enumerate(curves.items()):
+            _curve(axis, points, CYCLE[k % len(CYCLE)], name)
+        axis.set_title(title)
+        axis.set_xlabel("step")
+        if title == "Loss":
+            axis.set_ylim(bottom=0)
+        else:
+            percent_axis(axis, "")
+        if len(curves) > 1:
+            axis.legend()
+    return figure
+
+
+def _curve(axis: Axes, points: list[tuple[float, float]], color: str, label: str) -> None:
+    """Draw the points faintly, and their running mean over a fiftieth of them."""
+    step, value = np.array(points, float).T
+    window = max(1, len(value) // 50)
+    if window > 1:
+        axis.plot(step, value, color=color, lw=0.6, alpha=0.35)
+        kernel = np.ones(window)
+        value = np.convolve(value, kernel, "same") / np.convolve(np.ones(len(value)), kernel, "same")
+    axis.plot(step, value, color=color, label=label)
+
+
+def heat_map(
+    shares: Float[np.ndarray, "R C"], rows: Sequence[str], columns: Sequence[str], *, rule: int | None = None
+) -> Figure:
+    """Draw shares as a heat map with its numbers in per cent, "–" where nan; `rule`: a line above this row."""
+    figure, (axis,) = new_figure(2.4 + 0.62 * shares.shape[1], 1.5 + 0.3 * len(shares))
+    axis.imshow(shares, cmap="cividis", vmin=0, vmax=1, aspect="auto")
+    axis.grid(visible=False)
+    for (i, j), value in np.ndenumerate(shares):
+        words = "–" if np.isnan(value) else f"{100 * value:.0f}"
+        axis.text(j, i, words, ha="center", va="center", color="black" if value > 0.55 else "white", fontsize=8)
+    if rule is not None:
+        axis.axhline(rule - 0.5, color="white", lw=3)
+    axis.set_xticks(range(shares.shape[1]), columns, rotation=40, ha="right", rotation_mode="anchor")
+    axis.set_yticks(range(len(shares)), rows)
+    axis.set_title("success in %")
+    return figure
+
+
+def transfer_map(ladder: Mapping[str, Sequence[dict]]) -> Figure:
+    """Plot success at 0.6 of every ablation by every judged detector, and below it the controls on the same images.
+
+    ladder: the cells of a leave-one-out matrix by ablation. A single ablation is also shown at the other thresholds,
+    and with the images in which nothing at all is reported on the body. The last column is the mean.
+    """
+    last = {cell["judged"]: cell for own in ladder.values() for cell in own}
+    kinds = {"": " at 0.6", "_own": " at its own", "_025": " at 0.25"} if len(ladder) == 1 else {"": ""}
+    rows = {
+        ablation + words: {cell["judged"]: cell[f"success{suffix}"] for cell in own}
+        for ablation, own in ladder.items()
+        for suffix, words in kinds.items()
+    }
+    if len(ladder) == 1:
+        rows["nothing reported at 0.6"] = {name: cell.get("gone") for name, cell in last.items()}
+    for control in ("random", CLOTHING):
+        rows[SERIES[control].label] = {name: cell[control] for name, cell in last.items()}
+    shares = pd.DataFrame(rows, index=list(last), dtype=float).T
+    shares = shares.assign(mean=shares.mean(axis=1))
+    columns = [*(short_name(name) + MARKS[cell["kin"]] for name, cell in last.items()), "mean"]
+    figure = heat_map(shares.to_numpy(), list(rows), columns, rule=len(rows) - 2)
+    (axis,) = figure.axes
+    axis.axvline(len(columns) - 1.5, color="white", lw=3)
+    axis.set_xlabel("judged by (left out of training)")
+    return figure

@@ -1,0 +1,210 @@
+"""Count films: hidden frames, runs of visible ones, first sight and tracks, from the results table.
+
+A film's images have further columns: take (from 0), time (seconds in the take) and the body's true box; its boxes have
+corners (see `Results`).
+
+A plain tracker of boxes by their overlap asks whether a camera with the simplest of trackers would ever follow the
+person. Boxes continue the track whose last box they overlap most (greedily, best pairs first), as in Bochinski,
+Eiselein and Sikora, "High-speed tracking-by-detection without using image information", AVSS 2017; confirming and
+losing a track are SORT's rules (Bewley et al., ICIP 2016). There is no motion model and no appearance model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Bool, Float
+
+from cloak_core.core.detector.scoring import box_iou
+from cloak_core.core.evaluation.results import CORNERS, TRUE_BOX, Results
+from cloak_core.core.evaluation.settings import FilmSettings
+from cloak_core.core.evaluation.statistics import (
+    finite,
+    hidden,
+    operating_point,
+    outcome_record,
+    rate,
+    rate_record,
+    share,
+)
+
+CLUSTERS = ("take", "background")
+"""Frames of one take, and those before one background, succeed and fail together."""
+LEAST_PIXELS = 8
+"""A body whose true box is narrower or lower than this is not in the picture."""
+
+
+def summarize_film(results: Results, settings: FilmSettings, approaches: bool) -> dict:
+    """Count contract C7's figures: of the first detector on the cloaked body, and of all in `detectors`.
+
+    approaches: the camera comes nearer all the time. frames: of all takes; left_out: of these, without the body in
+    the picture, counted in nothing else.
+    """
+    rows = {spec: {control: results.rows(spec, control) for control in results.controls} for spec in results.detectors}
+    detectors = {
+        spec: {name: film_record(results, mine, settings, approaches) for name, mine in by_control.items()}
+        for spec, by_control in rows.items()
+    }
+    spec = results.detectors[0]
+    first = rows[spec][results.controls[0]]
+    told = detectors[spec][results.controls[0]]
+    return {
+        "frames": len(first),
+        **{key: told[key] for key in ("hidden", "renamed", "gone", "longest_run", "first_sight_m", "tracks")},
+        "takes": int(first["take"].max()) + 1,
+        "threshold": settings.threshold,
+        "left_out": int((~in_picture(first)).sum()),
+        "detectors": detectors,
+        "operating_points": {spec: operating_point(mine[results.controls[0]]) for spec, mine in rows.items()},
+    }
+
+
+def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, approaches: bool) -> dict:
+    """Figures of one detector and control, at the film's threshold and (`_own`) at the detector's own.
+
+    hidden: share of frames without any reported person; hidden_iou: without one on the body; conditional: hidden where
+    the same frame in own clothing is not; renamed, gone, named: see `outcome_record`; ci95: over takes, null for a
+    single one. longest_run: frames in a row with a person, the median over takes. first_sight_m: distance of a take's
+    first one where the camera approaches, likewise (takes without any are counted in never_seen). tracks: confirmed at
+    the detector's own threshold, in all takes.
+    """
+    threshold, own, body = settings.threshold, operating_point(frames), in_picture(frames)
+    shown = frames[body]
+    seen_clean = shown[(shown["clean"] > threshold).to_numpy()]
+    several = shown["take"].nunique() > 1
+    hits = rate_record("success", rate(shown, hidden(shown, threshold), CLUSTERS)) if several else {"ci95": None}
+    told = {
+        "hidden": finite(share(shown, threshold)),
+        "hidden_own": finite(share(shown, own)),
+        "hidden_iou": finite(share(shown, threshold, "score_on")),
+        "conditional": finite(share(seen_clean, threshold)),
+        **outcome_record(shown, threshold),
+        "ci95": hits["ci95"],
+        "n": len(shown),
+    }
+    for suffix, at in (("", threshold), ("_own", own)):
+        takes = [(take, ~hidden(take, at) & in_picture(take)) for _, take in frames.groupby("take")]
+        run = float(np.median([longest_run(seen) for _, seen in takes]))
+        told[f"longest_run{suffix}"] = int(run) if run.is_integer() else run
+        first = [take["distance"].to_numpy()[seen][:1] for take, seen in takes]
+        distances = [float(one[0]) for one in first if len(one)]
+        middle = finite(float(np.median(distances)), 4) if distances else None
+        told[f"first_sight_m{suffix}"] = middle if approaches else None
+        told[f"never_seen{suffix}"] = len(first) - len(distances) if approaches else None
+    return told | _tracks_record(results, frames, settings)
+
+
+def _tracks_record(results: Results, frames: pd.DataFrame, settings: FilmSettings) -> dict:
+    """Count confirmed tracks, the takes with one, and the share of frames in which one has a box."""
+    takes = [take for _, take in frames.groupby("take")]
+    by_take = [track(frame_boxes(results, take, operating_point(frames)), settings) for take in takes]
+    tracked = sum(len(set().union(*(one.boxes for one in tracks))) for tracks in by_take)
+    return {
+        "tracks": sum(map(len, by_take)),
+        "tracked_takes": sum(map(bool, by_take)),
+        "tracked": finite(tracked / len(frames)),
+    }
+
+
+def in_picture(frames: pd.DataFrame) -> Bool[np.ndarray, " N"]:
+    """Mark the frames that show enough of the body to be found."""
+    x1, y1, x2, y2 = (frames[name].to_numpy() for name in TRUE_BOX)
+    return (x2 - x1 >= LEAST_PIXELS) & (y2 - y1 >= LEAST_PIXELS)
+
+
+def longest_run(seen: Bool[np.ndarray, " T"]) -> int:
+    """Count the most frames in a row that are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def frame_boxes(results: Results, frames: pd.DataFrame, above: float) -> list[Float[np.ndarray, "_ 5"]]:
+    """List each frame's boxes (x1, y1, x2, y2, score) with a score above `above`, best first."""
+    boxes = results.boxes_of(frames)
+    boxes = boxes[boxes["score"].to_numpy() > above]
+    found = {image: mine[[*CORNERS, "score"]].to_numpy() for image, mine in boxes.groupby("image")}
+    return [found.get(image, np.zeros((0, 5), np.float32)) for image in frames["image"]]
+
+
+def frame_rows(results: Results, threshold: float) -> list[dict]:
+    """Tell what every frame shows and what every detector says of it, ready for JSON."""
+    rows = {(s, c): results.rows(s, c) for s in results.detectors for c in results.controls}
+    told = {key: _frame_verdicts(results, mine, threshold) for key, mine in rows.items()}
+    frames = []
+    for k, frame in enumerate(next(iter(rows.values())).to_dict("records")):
+        place = {name: round(float(frame[name]), 4) for name in ("angle", "elevation", "distance")}
+        label = {"take": int(frame["take"]), "time": round(float(frame["time"]), 4), "body": frame["body"]}
+        detectors = {s: {c: told[s, c][k] for c in results.controls} for s in results.detectors}
+        true_box = [float(frame[name]) for name in TRUE_BOX]
+        frames.append(label | place | {"true_box": true_box, "detectors": detectors})
+    return frames
+
+
+def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> list[dict]:
+    boxes: Sequence[np.ndarray] = frame_boxes(results, rows, min(threshold, operating_point(rows)))
+    columns = zip(rows["score"], hidden(rows, threshold), rows["other"], rows["other_name"], boxes, strict=True)
+    return [
+        {
+            "score": round(float(score), 4),
+            "hidden": bool(gone),
+            "other": finite(other, 4),
+            "other_name": name or None,
+            "boxes": mine.round(4).tolist(),
+        }
+        for score, gone, other, name, mine in columns
+    ]
+
+
+@dataclass(eq=False)
+class Track:
+    """One track: the frames in which it has a box, and which box."""
+
+    number: int = 0
+    """From 1 in the order of confirmation; 0 while it is not confirmed."""
+    boxes: dict[int, int] = field(default_factory=dict)
+    """Frame -> index among that frame's boxes."""
+    last: np.ndarray | None = None
+    missed: int = 0
+
+
+def track(frames: Sequence[Float[np.ndarray, "_ 5"]], settings: FilmSettings) -> list[Track]:
+    """Find the confirmed tracks through frames of boxes (x1, y1, x2, y2, score), in the order of confirmation.
+
+    A track is confirmed by `track_hits` frames in a row; then it outlives `track_misses` without a box that overlaps
+    its last one by `track_iou`. Its boxes include those before it was confirmed.
+    """
+    live: list[Track] = []
+    confirmed: list[Track] = []
+    for index, boxes in enumerate(frames):
+        matched = _match(live, boxes, settings.track_iou)
+        for position, one in enumerate(live):
+            one.missed = 0 if position in matched else one.missed + 1
+            if position in matched:
+                one.boxes[index], one.last = matched[position], boxes[matched[position]]
+        fresh = [Track(boxes={index: b}, last=box) for b, box in enumerate(boxes) if b not in matched.values()]
+        live = [one for one in [*live, *fresh] if one.missed <= (settings.track_misses if one.number else 0)]
+        for one in live:
+            if not one.number and len(one.boxes) >= settings.track_hits:
+                confirmed.append(one)
+                one.number = len(confirmed)
+    return confirmed
+
+
+def _match(live: Sequence[Track], boxes: Float[np.ndarray, "n 5"], least: float) -> dict[int, int]:
+    """Match tracks (by position) to boxes (by index), the largest overlaps first."""
+    if not live or not len(boxes):
+        return {}
+    last, found_boxes = (torch.from_numpy(rows[:, :4]) for rows in (np.stack([one.last for one in live]), boxes))
+    overlap = box_iou(last[:, None], found_boxes).numpy()
+    found: dict[int, int] = {}
+    for flat in np.argsort(-overlap, axis=None, kind="stable"):
+        position, box = divmod(int(flat), len(boxes))
+        if overlap[position, box] < least:
+            break
+        if position not in found and box not in found.values():
+            found[position] = box
+    return found

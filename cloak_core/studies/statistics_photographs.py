@@ -1,0 +1,193 @@
+"""Count photographs: rates with intervals, compared with the same person's clean pictures.
+
+The table has a row for each detector and subject: garment, person, place, scene, distance (metres, nan where unknown),
+pair, score, clean and operating_point; see `photographs.judge`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from statistics import NormalDist
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int, Shaped
+
+from cloak_core.core.evaluation.intervals import RESAMPLES, clustered_rate, wilson
+from cloak_core.core.evaluation.statistics import (
+    finite,
+    hidden,
+    operating_point,
+    outcome_record,
+    rate,
+    rate_record,
+    share,
+)
+from cloak_core.studies.judging.listing import NOBODY, WITH, WITHOUT
+
+CLUSTERS = ("person", "place")
+"""Pictures of one person, and those of one place, succeed and fail together."""
+
+
+def find_partners(subjects: pd.DataFrame) -> list[Int[np.ndarray, " _"]]:
+    """Find each subject's clean pictures: the same person in the pair, or else in the same scene and distance.
+
+    subjects: numbered from 0 by their index.
+    """
+    told = subjects.fillna({"distance": -1.0})
+    clean = told[told["garment"] == WITHOUT]
+    by_pair = clean[clean["pair"] != ""].groupby(["pair", "person"]).groups
+    by_scene = clean[clean["scene"] != ""].groupby(["scene", "person", "distance"]).groups
+    places = zip(*(told[name] for name in ("pair", "scene", "person", "distance")), strict=True)
+    found = (by_pair.get((pair, who), by_scene.get((scene, who, far), [])) for pair, scene, who, far in places)
+    return [np.array(partners, int) for partners in found]
+
+
+def clean_scores(
+    score: Float[np.ndarray, " N"], garment: Shaped[np.ndarray, " N"], partners: Sequence[Int[np.ndarray, " _"]]
+) -> Float[np.ndarray, " N"]:
+    """Compute the score that each subject is compared with: above a threshold if most clean partners are.
+
+    nan without a partner. Clean subjects are compared with nothing: inf, always found.
+    """
+    most = [np.sort(score[p])[::-1][len(p) // 2] if len(p) else np.nan for p in partners]
+    return np.where(garment == WITHOUT, np.inf, most)
+
+
+def summarize_photographs(rows: pd.DataFrame, threshold: float, resamples: int = RESAMPLES) -> dict:
+    """Count contract C7's figures: of the first detector, and of every one in `detectors`."""
+    by_detector = {str(spec): mine for spec, mine in rows.groupby("detector", sort=False)}
+    detectors = {spec: _detector_summary(mine, threshold, resamples) for spec, mine in by_detector.items()}
+    first = next(iter(by_detector.values()))
+    people = first[(first["garment"] != NOBODY).to_numpy()]
+    told = next(iter(detectors.values()))
+    return {
+        **{key: told[key] for key in (WITH, WITHOUT, "controls")},
+        "people": people["person"].nunique(),
+        "scenes": people["place"].nunique(),
+        "threshold": threshold,
+        "operating_points": {spec: operating_point(mine) for spec, mine in by_detector.items()},
+        "detectors": detectors,
+        "warnings": warnings(people),
+    }
+
+
+def _detector_summary(rows: pd.DataFrame, threshold: float, resamples: int) -> dict:
+    own = operating_point(rows)
+    record = lambda mine: photograph_record(mine, (threshold, own), resamples)
+    garments = {WITH: rows[:0], WITHOUT: rows[:0]} | dict(list(rows.groupby("garment", sort=False)))
+    empty = garments.pop(NOBODY, rows[:0])
+    told = {name: record(mine) for name, mine in garments.items()}
+    sides = {name: told.pop(name) for name in (WITH, WITHOUT)}
+    groups = {"by_person": rows["person"]}
+    if rows["scene"].astype(bool).any():
+        groups["by_scene"] = rows["place"]
+    if rows["distance"].notna().any():
+        groups["by_distance"] = rows["distance"].map(lambda metres: "" if math.isnan(metres) else f"{metres:g}")
+    people, by = rows[(rows["garment"] != NOBODY).to_numpy()], {}
+    for name, labels in groups.items():
+        parts = dict(list(people.groupby(labels[people.index])))
+        by[name] = {
+            key: {side: record(parts[key][parts[key]["garment"] == side]) for side in (WITH, WITHOUT)}
+            for key in sorted(parts.keys() - {""}, key=_numbers_first)
+        }
+    alarms = {"false_alarms": finite(1 - share(empty, threshold)), "n_nobody": len(empty)}
+    return sides | {"controls": told} | by | alarms
+
+
+def photograph_record(rows: pd.DataFrame, thresholds: tuple[float, float], resamples: int = RESAMPLES) -> dict:
+    """Count one S of contract C6 for all people in a garment, at the judge's threshold and (`_own`) the detector's.
+
+    detected: share of them that is found, of `n_all`. Of a cloak or a control, success: not found although the clean
+    partner is, a share of all `n` with a partner, so that a person whom the clean picture misses is none; conditional:
+    the share of the `n_conditional` whose clean partner is found. Of clean pictures, success is the share that is
+    missed: the baseline miss rate. `renamed`, `gone`, `named`: see `outcome_record`; of all, told where every box is.
+    """
+    told: dict = {"n": 0, "n_all": len(rows)}
+    compared = rows[rows["clean"].notna().to_numpy()]
+    estimate = lambda mine, hits: rate(mine, hits, CLUSTERS, resamples)
+    for suffix, threshold in zip(("", "_own"), thresholds, strict=True):
+        clean = (compared["clean"] > threshold).to_numpy()
+        success = estimate(compared, hidden(compared, threshold) & clean)
+        conditional = estimate(compared[clean], hidden(compared[clean], threshold))
+        detected = estimate(rows, ~hidden(rows, threshold))
+        for name, value in (("success", success), ("conditional", conditional), ("detected", detected)):
+            told |= rate_record(name + suffix, value)
+        told |= {f"n_conditional{suffix}": conditional.n, "n": success.n}
+    return told | outcome_record(rows, thresholds[0])
+
+
+def warnings(people: pd.DataFrame) -> list[str]:
+    """Say what the labels do not tell, and what follows for the figures. people: rows of one detector."""
+    said, cloaked = [], people[(people["garment"] == WITH).to_numpy()]
+    alone = int(cloaked["clean"].isna().sum())
+    if not len(cloaked):
+        said.append("no picture with the cloak")
+    if not (people["garment"] == WITHOUT).any():
+        said.append("no picture without the cloak: what it hides cannot be told from what is missed anyway")
+    elif alone:
+        said.append(f"{alone} cloaked pictures have no clean partner and are in no success")
+    if (people["person"] == "").any():
+        said.append("not everybody's name is told: people without one are taken for one and the same")
+    if (people["scene"] == "").any():
+        said.append("not every scene is told: each pair is taken for a scene of its own, intervals may be too narrow")
+    if not people["boxed"].all():
+        part = "not everybody's box is told" if people["boxed"].any() else "no boxes are told"
+        said.append(f"{part}: there, whoever is found anywhere in the picture counts as the person")
+    return said
+
+
+def _numbers_first(key: str) -> tuple:
+    try:
+        return (0, float(key), key)
+    except ValueError:
+        return (1, 0.0, key)
+
+
+# --- how many photographs an interval of a given width takes
+
+ALIKE = 0.1
+"""Share of the latent variance between pictures that the person decides, and the scene likewise."""
+PEOPLE, SCENES, EACH = (1, 2, 4, 8, 12), (2, 4, 8, 12), (1, 3)
+RATES = (0.5, 0.9)
+
+
+def plan(
+    people: Sequence[int] = PEOPLE,
+    scenes: Sequence[int] = SCENES,
+    each: Sequence[int] = EACH,
+    rates: Sequence[float] = RATES,
+    *,
+    draws: int = 20,
+    resamples: int = 200,
+) -> list[dict]:
+    """Simulate campaigns: half the width of the 95 % interval about each true rate, the mean over draws, in points.
+
+    A row for every number of people, of scenes, and of pairs of pictures of each person in each scene. Pictures of one
+    person, and of one scene, are alike: each decides a share `ALIKE` of a normal latent variable's variance.
+    """
+    rows = []
+    for counts in ((p, s, e) for p in people for s in scenes for e in each):
+        half = {f"{true:g}": round(100 * _half_width(counts, true, draws, resamples), 1) for true in rates}
+        label = dict(zip(("people", "scenes", "each"), counts, strict=True))
+        rows.append(label | {"pairs": math.prod(counts), "points": half})
+    return rows
+
+
+def independent_pairs(true_rate: float, half: float = 0.1) -> int:
+    """Count the pairs that would do if no two of them had a person or a scene in common, by Wilson's interval."""
+    return next(n for n in range(1, 100_000) if np.ptp(wilson(true_rate, n)) / 2 <= half)
+
+
+def _half_width(counts: tuple[int, int, int], true_rate: float, draws: int, resamples: int) -> float:
+    rng = np.random.default_rng([0, *counts])
+    person, place, _ = (axis.ravel() for axis in np.meshgrid(*map(np.arange, counts), indexing="ij"))
+    cut, widths = NormalDist().inv_cdf(true_rate), []
+    for draw in range(draws):
+        latent = math.sqrt(ALIKE) * (rng.normal(size=counts[0])[person] + rng.normal(size=counts[1])[place])
+        latent = latent + math.sqrt(1 - 2 * ALIKE) * rng.normal(size=len(person))
+        found: Bool[np.ndarray, " N"] = latent < cut
+        estimate = clustered_rate(found, person, place, resamples=resamples, seed=draw)
+        widths.append((estimate.high - estimate.low) / 2)
+    return float(np.mean(widths))

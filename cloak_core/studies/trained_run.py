@@ -1,0 +1,198 @@
+"""Read a run that training left: its record and curves, what was kept back from it, what it was trained against."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cloak_core.core.detector.protocol import Detector, detector_record
+from cloak_core.core.events import read_events
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
+from cloak_core.files.reading import is_number, read_json
+from cloak_core.files.writing import write_json
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.bodies.selection import split_selection
+
+EMBEDDED = ("sample", "sample-clothed", "sample-tight", "procedural")
+KEPT_BACK = {"scene": ":unseen", "backgrounds": ":test"}
+"""What was kept back from training on embedded material."""
+
+
+def read_run(folder: Path) -> dict:
+    """Read a run's config.json; InputError when this is no finished run."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
+    if not (folder / "config.json").exists():
+        raise InputError(f"{folder}: not a run folder (no config.json in it)")
+    if not (folder / "colors.npy").exists():
+        raise InputError(f"{folder}: has no trained colours yet (no colors.npy in it)")
+    config = read_json(folder / "config.json")
+    inputs, detectors = config.get("inputs", {}), config.get("detectors")
+    if not isinstance(inputs, dict) or not all(isinstance(value, str) for value in inputs.values()):
+        raise InputError(f"{folder / 'config.json'}: inputs is not a record of names")
+    if not isinstance(detectors, list) or not all(
+        isinstance(d, dict) and isinstance(d.get("spec"), str) for d in detectors
+    ):
+        raise InputError(f"{folder / 'config.json'}: detectors is not a list of records, each with its spec")
+    return config
+
+
+def kept_back(kind: str, config: dict) -> str:
+    """Name the embedded material that training did not see; InputError for anything else, which the user must name."""
+    inputs = config.get("inputs", {})
+    made_from = inputs.get("made_from", "") if kind == "scene" else ""
+    spec, _ = split_selection(made_from or inputs.get(kind, ""))
+    head, mark, rest = spec.partition(":train")
+    if mark and head in EMBEDDED:
+        return head + KEPT_BACK[kind] + rest
+    raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
+
+
+CURVES = {"loss": "loss", "disappearance": "disappearance", "tv": "total variation"}
+"""Which losses of events.jsonl a history has, and what they are called."""
+
+
+@dataclass(frozen=True)
+class History:
+    """Curves of (step, value), and how the training ended."""
+
+    losses: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    success: list[tuple[float, float]] = field(default_factory=list)
+    step: int = 0
+    seconds: float = 0.0
+    outcome: str = ""
+
+
+def read_history(run: Path) -> History:
+    """Read losses and success over the steps; empty where the run has no events."""
+    path = run / "events.jsonl"
+    events = read_events(path) if path.exists() else []
+    steps = [e for e in events if e.get("type") == "step"]
+    losses = {label: points for key, label in CURVES.items() if (points := _points(steps, key))}
+    ends = [e for e in events if e.get("type") == "end"]
+    return History(
+        losses=losses,
+        success=_points(steps, "success"),
+        step=int(max((e["step"] for e in steps if is_number(e.get("step"))), default=0)),
+        seconds=float(max((e["time"] for e in events if is_number(e.get("time"))), default=0.0)),
+        outcome=str(ends[-1].get("outcome", "")) if ends else "",
+    )
+
+
+def _points(steps: list[dict], key: str) -> list[tuple[float, float]]:
+    return [(float(e["step"]), float(e[key])) for e in steps if is_number(e.get("step")) and is_number(e.get(key))]
+
+
+@contextmanager
+def clocked(folder: Path) -> Iterator[None]:
+    """Add the processor time of what happens inside to the run's `cost.json`; skip runs begun without a clock."""
+    earlier = cpu_seconds(folder) if (folder / "cost.json").exists() else 0.0
+    started, known = time.process_time(), not folder.exists() or (folder / "cost.json").exists()
+    try:
+        yield
+    finally:
+        if known and folder.exists():
+            write_json(folder / "cost.json", {"cpu_seconds": round(earlier + time.process_time() - started, 2)})
+
+
+def cpu_seconds(folder: Path) -> float:
+    """Read the processor time of a run, all threads; nan where it was not measured."""
+    path = folder / "cost.json"
+    return float(read_json(path)["cpu_seconds"]) if path.exists() else math.nan
+
+
+def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:
+    """Compare an evaluation's bodies and backgrounds with those of the training.
+
+    config: a run's config.json. Returns the summary's `unseen` ({"bodies": bool or None, "backgrounds": bool or None})
+    and one warning per overlap. Trained poses count as seen also where they are moved as a whole, and images however
+    they are stored. None: not certain, because backgrounds look like trained ones or `config` does not tell.
+    """
+    if not config:
+        return {"bodies": None, "backgrounds": None}, []
+    unseen_bodies, warnings = _unseen_bodies(_part(config, "scene"), bodies)
+    unseen_backgrounds, more = _unseen_backgrounds(_part(config, "backgrounds"), backgrounds)
+    return {"bodies": unseen_bodies, "backgrounds": unseen_backgrounds}, warnings + more
+
+
+def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]:
+    trained = scene.get("pose_sha256")
+    if not isinstance(trained, list):
+        return None, ["the run does not record its training bodies: whether these are unseen is not known"]
+    known = set(map(str, trained))
+    seen = [i for i, digest in enumerate(bodies.pose_hashes) if digest in known]
+    warnings = _overlap("bodies were in the training set", [bodies.names[i] for i in seen])
+    shapes = [pose_shape(vertices) for vertices in bodies.vertices]
+    pairs = similar_poses([_numbers(shape, len(shapes[0])) for shape in _list(scene, "pose_shapes")], shapes)
+    moved = {j: i for i, j in pairs if j not in seen}
+    names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in moved.items()]
+    warnings += _overlap("bodies are trained ones, moved, scaled or changed by millimetres", names)
+    return not (seen or moved), warnings
+
+
+def _unseen_backgrounds(trained: dict, backgrounds: Backgrounds) -> tuple[bool | None, list[str]]:
+    identities = trained.get("identities")
+    if not isinstance(identities, list):
+        return None, ["the run does not record its training backgrounds: whether these are unseen is not known"]
+    known = set(map(str, identities))
+    # Earlier versions knew an image by its file.
+    seen = [i for i, picture in enumerate(backgrounds.pictures) if known & {picture.pixels, picture.file}]
+    warnings = _overlap("backgrounds were in the training set", [backgrounds.names[i] for i in seen])
+    looks = [str(look) for look in _list(trained, "looks")]
+    pairs = similar_looks(looks, [picture.look for picture in backgrounds.pictures])
+    alike = {j: i for i, j in pairs if j not in seen}
+    names = [f"{backgrounds.names[j]} like {_name(trained, 'names', i)}" for j, i in alike.items()]
+    warnings += _overlap("backgrounds look like trained ones", names, "may not be unseen")
+    return False if seen else None if alike else True, warnings
+
+
+def _overlap(what: str, names: Sequence[str], verdict: str = "is not unseen") -> list[str]:
+    few = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+    return [f"{len(names)} of the {what} ({few}): success {verdict}"] if names else []
+
+
+def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> dict[str, bool | None]:
+    """Tell for each detector, by its spec, whether the colours were trained against it. None: `config` does not tell.
+
+    Weights count, not names: the same weights at another input size are no black box. A detector without weights is
+    known by the source that runs it.
+    """
+    trained = (config or {}).get("detectors")
+    if not isinstance(trained, list) or not all(isinstance(entry, dict) for entry in trained):
+        return dict.fromkeys(detectors)
+    found: dict[str, bool | None] = {}
+    for spec, detector in detectors.items():
+        ours = detector_record(detector)
+        same = [entry for entry in trained if entry.get("sha256") == ours["sha256"]]
+        if not detector.state_dict():
+            same = [entry for entry in same if entry.get("source", ours["source"]) == ours["source"]]
+        found[spec] = bool(same)
+    return found
+
+
+def _part(config: dict, key: str) -> dict:
+    part = config.get(key)
+    return part if isinstance(part, dict) else {}
+
+
+def _list(part: dict, key: str) -> list:
+    value = part.get(key)
+    return value if isinstance(value, list) else []
+
+
+def _name(part: dict, key: str, index: int) -> str:
+    return str((_list(part, key)[index : index + 1] or [index])[0])
+
+
+def _numbers(value: object, count: int) -> Sequence[float]:
+    """Check a list of numbers; nans, which equal nothing, where it is something else."""
+    fits = isinstance(value, list) and len(value) == count and all(isinstance(n, (int, float)) for n in value)
+    return value if fits else [np.nan] * count

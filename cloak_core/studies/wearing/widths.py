@@ -1,0 +1,101 @@
+"""How wide a picture hides best as cloth, chosen on people and detectors that do not judge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from cloak_core.core.detector.protocol import Detector, detector_record
+from cloak_core.core.evaluation.measure import OnProgress, measure
+from cloak_core.core.evaluation.settings import WearSettings
+from cloak_core.core.evaluation.statistics import finite, operating_point, share
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import People
+from cloak_core.studies.trained_run import trained_against
+from cloak_core.studies.wearing.clothes import read_clothes
+from cloak_core.studies.wearing.renderer import PeopleRenderer
+
+AUTO = "@tile=auto"
+WIDTHS = (0.1, 0.15, 0.2, 0.25, 0.35, 0.5, 0.7, 1.0)
+"""Metres that are tried."""
+
+
+def choose_widths(
+    colors: Sequence[str],
+    people: People | None,
+    detectors: Mapping[str, Detector],
+    judging: tuple[People, Mapping[str, Detector]],
+    backgrounds: Backgrounds,
+    settings: WearSettings,
+    on_progress: OnProgress | None = None,
+) -> tuple[list[str], dict[str, dict]]:
+    """Replace each `@tile=auto` of COLORS by the width that hides most.
+
+    people, detectors: whom the choice is made on. judging: the people and detectors that judge afterwards. Returns
+    COLORS, and what `width_curve` measured for each of those that asked.
+    InputError: a width is to be chosen, but on nobody, or on somebody who judges.
+    """
+    asked = [color for color in colors if AUTO in color]
+    if not asked:
+        return list(colors), {}
+    for option, given in (("--width-people", people), ("--width-detector", detectors)):
+        if not given:
+            raise InputError(f"{asked[0]}: needs {option}, on whom the width is chosen, and who does not judge")
+    _require_strangers(people, detectors, *judging)
+    curves = {color: width_curve(color, people, detectors, backgrounds, settings, on_progress) for color in asked}
+    at_width = lambda color: color.replace(AUTO, f"@tile={curves[color]['chosen']:g}")
+    return [at_width(color) if color in curves else color for color in colors], curves
+
+
+def width_curve(
+    color: str,
+    people: People,
+    detectors: Mapping[str, Detector],
+    backgrounds: Backgrounds,
+    settings: WearSettings,
+    on_progress: OnProgress | None = None,
+) -> dict:
+    """Judge a picture, PICTURE@tile=auto, at each of `WIDTHS`.
+
+    Returns "detectors" {SPEC: {METRES: {"success", "success_own"}}}, "people", "photographs", and "chosen": the width
+    in metres with the largest mean of both rates over the detectors, the narrower one of equals.
+    """
+    clothes = [read_clothes(color.replace(AUTO, f"@tile={metres:g}")) for metres in WIDTHS]
+    names = [one.name for one in clothes]
+    device = next(iter(detectors.values())).device
+    renderer = PeopleRenderer(fit_people(people), clothes, backgrounds, settings, device)
+    results = measure(renderer, detectors, names, batch=settings.batch, on_progress=on_progress)
+    rates: dict[str, dict[str, dict]] = {}
+    for spec in detectors:
+        rates[spec] = {}
+        for metres, name in zip(WIDTHS, names, strict=True):
+            rows = results.rows(spec, name)
+            hidden = {"success": settings.threshold, "success_own": operating_point(rows)}
+            rates[spec][f"{metres:g}"] = {
+                name: None if threshold is None else finite(share(rows, threshold))
+                for name, threshold in hidden.items()
+            }
+    means = [_mean(rates[spec][f"{metres:g}"] for spec in detectors) for metres in WIDTHS]
+    chosen = WIDTHS[int(np.argmax(means))]
+    return {"chosen": chosen, "people": len(people), "photographs": len(people.photographs), "detectors": rates}
+
+
+def _mean(rates: Iterable[dict[str, float | None]]) -> float:
+    return float(np.mean([value for one in rates for value in one.values() if value is not None]))
+
+
+def _require_strangers(
+    people: People, detectors: Mapping[str, Detector], judges: People, judging: Mapping[str, Detector]
+) -> None:
+    """Refuse people (by their photographs) and detectors (by their weights) that also judge. InputError."""
+    judged = {person.identity for person in judges.people}
+    both = set(people.photographs) & set(judges.photographs)
+    both |= {person.photograph for person in people.people if person.identity in judged}
+    if both:
+        raise InputError(f"--width-people: {min(both)} judges as well (take the other half: PEOPLE.json[0::2])")
+    judge = trained_against({"detectors": list(map(detector_record, judging.values()))}, detectors)
+    if any(judge.values()):
+        raise InputError(f"--width-detector: {next(spec for spec in judge if judge[spec])} judges as well")

@@ -1,0 +1,121 @@
+"""Evaluate an entry of the zoo again, on the bodies, backgrounds, angles, draws and detectors of its record."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from cloak_core.core.evaluation.measure import OnProgress
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.logo import make_logo
+from cloak_core.detectors.loading import load_detector
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.studies.cloaked import Cloaked
+from cloak_core.studies.evaluate import evaluate, headline
+from cloak_core.studies.trained_run import EMBEDDED, kept_back
+from cloak_core.zoo.entry import Entry
+
+_FILE = re.compile(r"[\w.-]+\.(?:onnx|cfg|weights|pt|py)\b")
+"""A file in a detector's spec, which records keep without its folder."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """Places on this machine of files that do not ship."""
+
+    folder: Path | None = None
+    """Detectors and scenes, by their names, at any depth."""
+    backgrounds: Path | None = None
+    """A folder of photographs; those that training saw are left out by their content."""
+
+    def find(self, name: str, whose: str) -> Path:
+        """Find a file by its name; InputError where it is not there."""
+        found = sorted(self.folder.rglob(name)) if self.folder else []
+        if not found:
+            where = f"is not in {self.folder}" if self.folder else "does not ship: say where it lies (--files)"
+            raise InputError(f"{name}, which {whose} was judged with, {where}")
+        return found[0]
+
+
+def evaluate_again(
+    found: Entry, files: Files, most_images: int | None, device: str, on_progress: OnProgress | None
+) -> dict:
+    """Evaluate an entry as recorded and compare.
+
+    Returns by detector `recorded` and `again`, each with success, success_own, ci95, ci95_own, n; and whether it
+    `holds`: at both thresholds the new rate lies in the recorded 95 % interval, or the recorded rate in the new one.
+    The images are those of the record, unless `most_images` takes a part of them. Colours are the entry's, which were
+    rounded to 1/255 after the record was written. InputError: a file or folder that it needs is not there.
+    """
+    name, told = found.record["name"], found.record["evaluation"]
+    whose = f"zoo:{name}"
+    bodies, backgrounds = _bodies(found, files, whose), _backgrounds(found, files, whose)
+    if len(backgrounds) != told["inputs"]["backgrounds"]:
+        raise InputError(
+            f"{files.backgrounds}: {len(backgrounds)} backgrounds that {whose} was not trained on, "
+            f"its record has {told['inputs']['backgrounds']}"
+        )
+    detectors = {spec: load_detector(_placed(spec, files, whose), device=device) for spec in told["detectors"]}
+    cloaked = Cloaked(found.colors, make_logo(bodies, found.ids), bodies, backgrounds)
+    how = told["settings"]["angles"], _settings(told["settings"], most_images)
+    measured = evaluate(cloaked, detectors, *how, training=found.config, on_progress=on_progress)
+    pairs = {spec: (told["detectors"][spec]["logo"], measured["detectors"][spec]["logo"]) for spec in detectors}
+    return {
+        spec: {"recorded": headline(old), "again": headline(new), "holds": _holds(old, new)}
+        for spec, (old, new) in pairs.items()
+    }
+
+
+def _bodies(found: Entry, files: Files, whose: str) -> Bodies:
+    inputs = found.record["evaluation"]["inputs"]
+    shipped = found.config["inputs"].get("scene", "").partition(":")[0] in EMBEDDED
+    scene = kept_back("scene", found.config) if shipped else str(files.find(f"{inputs['scene']}.npz", whose))
+    bodies = load_scene(scene)
+    if bodies.topology != found.config["topology"]:
+        raise InputError(f"{scene}: topology {bodies.topology}, {whose} is for {found.config['topology']}")
+    if absent := set(inputs["bodies"]) - set(bodies.names):
+        raise InputError(f"{scene}: no body {min(absent)}, which {whose} was judged on")
+    return bodies.select_poses([bodies.names.index(body) for body in inputs["bodies"]])
+
+
+def _backgrounds(found: Entry, files: Files, whose: str) -> Backgrounds:
+    if found.config["inputs"].get("backgrounds", "").startswith("procedural"):
+        return load_backgrounds(kept_back("backgrounds", found.config))
+    if files.backgrounds is None:
+        raise InputError(
+            f"the photographs that {whose} was judged before do not ship: say where they lie (--backgrounds)"
+        )
+    every, trained = load_backgrounds(files.backgrounds), set(found.config["backgrounds"]["identities"])
+    return every.subset([i for i, identity in enumerate(every.identities()) if identity not in trained])
+
+
+def _placed(spec: str, files: Files, whose: str) -> str:
+    """Put the folders before the files of a spec."""
+    return _FILE.sub(lambda name: str(files.find(name[0], whose)), spec)
+
+
+def _settings(recorded: dict, most_images: int | None) -> EvaluateSettings:
+    known = {field.name for field in fields(EvaluateSettings)}
+    kept = {key: tuple(value) if isinstance(value, list) else value for key, value in recorded.items() if key in known}
+    # What is compared is the logo; controls and bare backgrounds would only take time.
+    kept |= {"controls": ("clothing",), "bare": 1, "most_images": most_images or recorded["most_images"]}
+    return EvaluateSettings(**kept)
+
+
+def _holds(old: dict, new: dict) -> bool:
+    """Check that each of the two rates lies in its recorded interval, or the recorded rate in the new one."""
+    for rate, interval in (("success", "ci95"), ("success_own", "ci95_own")):
+        if old.get(rate) is None or new.get(rate) is None or not old.get(interval):
+            continue
+        if not (_within(new[rate], old[interval]) or _within(old[rate], new[interval])):
+            return False
+    return True
+
+
+def _within(rate: float, interval: list[float]) -> bool:
+    low, high = interval
+    return low - 1e-6 <= rate <= high + 1e-6  # records have six decimals

@@ -1,0 +1,139 @@
+"""A tiny scene and a tiny detector: everything training needs, small enough to run it hundreds of times."""
+
+import numpy as np
+import torch
+from torch import nn
+
+from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.logo import Logo, make_logo
+from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+
+SIDE = 4
+"""Quads along each side of each face of the box."""
+
+
+def box_bodies(poses: int = 2) -> Bodies:
+    """A box of 1 x 1.6 x 0.6 m, each side a grid of quads; later poses are turned a little and stretched."""
+    steps = np.linspace(-0.5, 0.5, SIDE + 1)
+    u, v = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+    quads = [[i * (SIDE + 1) + j, (i + 1) * (SIDE + 1) + j, (i + 1) * (SIDE + 1) + j + 1, i * (SIDE + 1) + j + 1]
+             for i in range(SIDE) for j in range(SIDE)]  # fmt: skip
+    half = np.full_like(u, 0.5)
+    sides = [(u, v, half), (-u, v, -half), (half, v, -u), (-half, v, u), (u, half, -v), (u, -half, v)]
+    points = np.concatenate([np.stack(side, 1) for side in sides])
+    loops = np.concatenate([np.array(quads) + k * (SIDE + 1) ** 2 for k in range(6)])
+    # Neighbouring sides share their edge's vertices, so that the box is closed.
+    points, where = np.unique(points.round(6), axis=0, return_inverse=True)
+    loops = where.reshape(-1)[loops]
+    vertices = np.stack([_turned(points * (1, 1.6, 0.6 + 0.1 * pose), 0.2 * pose) for pose in range(poses)])
+    faces = len(loops)
+    random = np.random.default_rng(0)
+    return Bodies(
+        vertices=vertices.astype(np.float32),
+        triangles=loops[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3),
+        triangle_face=np.repeat(np.arange(faces), 2),
+        face_colors=random.uniform(0.2, 0.8, (2, faces, 3)).astype(np.float32),
+        loop_total=np.full(faces, 4),
+        loop_vertices=loops.ravel(),
+        name="box",
+    )
+
+
+def _turned(points: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+
+
+def front_logo(bodies: Bodies) -> Logo:
+    """The quads of the side that faces +z."""
+    return make_logo(bodies, np.arange(SIDE * SIDE))
+
+
+def back_logo(bodies: Bodies) -> Logo:
+    """The quads of the far side, which no training view sees."""
+    return make_logo(bodies, SIDE * SIDE + np.arange(SIDE * SIDE))
+
+
+def noise_backgrounds(count: int = 5) -> Backgrounds:
+    draw = lambda index, height, width: (
+        np.random.default_rng(index).integers(0, 255, (height, width, 3)).astype(np.uint8)
+    )
+    return Backgrounds([f"noise {i}" for i in range(count)], draw)
+
+
+class TinyDetector(Detector):
+    """Two seeded convolutions; a box for each cell of a coarse grid. Smooth, so that finite differences work."""
+
+    def __init__(self, seed: int = 0, bias: float = 0.0) -> None:
+        super().__init__("tiny", f"tiny:{seed}")
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.body = nn.Sequential(nn.Conv2d(3, 8, 8, stride=8), nn.Tanh(), nn.Conv2d(8, 6, 3, padding=1))
+        self.bias = bias
+        self.freeze()
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        raw = self.body(images).flatten(2).transpose(1, 2)
+        objectness = torch.sigmoid(4 * raw[..., 0] + self.bias)
+        person = torch.sigmoid(4 * raw[..., 1])
+        boxes = torch.cat([raw[..., 2:4], raw[..., 2:4] + raw[..., 4:].exp()], dim=2)
+        return Detections(boxes, objectness * person, objectness, person > 0.5)
+
+
+class RedDetector(Detector):
+    """Finds persons where an 8 x 8 cell is redder than blue."""
+
+    def __init__(self) -> None:
+        super().__init__("red", "red")
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        cells = nn.functional.avg_pool2d(images, 8).flatten(2)
+        scores = torch.sigmoid(6 * (cells[:, 0] - cells[:, 2]) + 2 * cells[:, 1])
+        return Detections(scores.new_zeros(*scores.shape, 4), scores, scores, scores > 0)
+
+
+class BrokenDetector(TinyDetector):
+    """Returns NaN from call `at` on, in its scores or (the scores being fine) in its gradient."""
+
+    def __init__(self, at: int, in_gradient: bool = False) -> None:
+        super().__init__()
+        self.calls, self.at, self.in_gradient = 0, at, in_gradient
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        self.calls += 1
+        found = super().forward(images)
+        if self.calls < self.at:
+            return found
+        # The gradient of sqrt at 0 is infinite, times 0 is NaN.
+        scores = found.scores + (0 * images.sum()).sqrt() if self.in_gradient else found.scores * torch.nan
+        return found._replace(scores=scores)
+
+
+def tiny_settings(**changes: object) -> TrainSettings:
+    base = {
+        "steps": 6,
+        "batch": 3,
+        "size": 64,
+        "translation": 5,
+        "samples": 1,
+        "checkpoint_every": 2,
+        "preview_every": 3,
+    }
+    return make_settings("best", **(base | {"angles": "-10,10"} | changes))
+
+
+class RenamingDetector(RedDetector):
+    """Knows persons, where a cell is redder than blue, and dogs, where it is bluer than red; boxes are the cells."""
+
+    class_names = ("person", "dog")
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        cells = nn.functional.avg_pool2d(images, 8)
+        redness = 6 * (cells[:, 0] - cells[:, 2]).flatten(1)
+        scores = torch.sigmoid(redness)
+        y, x = torch.meshgrid(*(8.0 * torch.arange(side) for side in cells.shape[2:]), indexing="ij")
+        boxes = torch.stack([x, y, x + 8, y + 8], dim=-1).flatten(0, 1).expand(*scores.shape, 4)
+        other = torch.sigmoid(-redness)
+        return Detections(boxes, scores, other=other, other_class=torch.ones_like(other, dtype=torch.int64))

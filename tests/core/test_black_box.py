@@ -1,0 +1,121 @@
+"""The search with answers alone: bounded, better than where it began, resumable to the same colours."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.black_box import EVERY, queries_after, steps_within
+from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.events import read_events
+from cloak_core.files.errors import InputError
+from tests.core.fakes import TinyDetector, tiny_settings
+from tests.core.test_training import run
+
+
+class Asked(Detector):
+    """Gives no gradient, counts the images it is shown, and finds a person in what is redder than blue."""
+
+    differentiable = False
+
+    def __init__(self) -> None:
+        super().__init__("asked", "asked")
+        self.images = 0
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        assert not images.requires_grad
+        self.images += len(images)
+        scores = torch.sigmoid(40 * (images[:, :1] - images[:, 2:]).mean((2, 3)))
+        return Detections(scores.new_zeros(*scores.shape, 4), scores)
+
+
+HOW = {"batch": 4, "steps": None, "epochs": 1, "noise": 0.0, "preview_every": 0, "checkpoint_every": 0}
+
+
+@pytest.mark.slow
+def test_a_search_lowers_the_score_with_no_more_images_than_allowed(tmp_path):
+    detector = Asked()
+    how = HOW | {"query_lr": 0.1}
+    result = run(tmp_path / "run", [detector], black_box_queries=203, angles="0", translation=0, **how)
+    assert detector.images == result.queries == queries_after(result.step, 4) <= 203 < queries_after(result.step + 1, 4)
+    rounds = [event for event in read_events(tmp_path / "run" / "events.jsonl") if event["type"] == "round"]
+    assert len(rounds) == len(result.curve) == -(-result.step // EVERY)
+    assert rounds[-1]["disappearance"] < rounds[0]["disappearance"] - 0.1
+    red, blue = result.colors[:, 0].mean(), result.colors[:, 2].mean()
+    assert blue > red and result.colors.min() >= 0 and result.colors.max() <= 1
+    assert result.record()["queries"] == detector.images and len(result.record()["curve"]) == len(rounds)
+
+
+@pytest.mark.parametrize("allowed", [12, 19, 20, 67, 68, 71, 76, 80, 2000])
+def test_as_many_steps_as_the_images_last(allowed):
+    steps = steps_within(tiny_settings(black_box_queries=allowed, batch=4), 1)
+    assert queries_after(steps, 4) <= allowed < queries_after(steps + 1, 4)
+
+
+@pytest.mark.slow
+def test_a_stopped_search_goes_on_to_the_same_colours(tmp_path):
+    whole = run(tmp_path / "whole", [Asked()], black_box_queries=140, snapshot_every=5, **HOW)
+    kept = sorted(path.name for path in (tmp_path / "whole" / "snapshots").iterdir())
+    assert kept == ["step-00000005.npy", "step-00000010.npy", "step-00000015.npy"]
+    stop = lambda event: (tmp_path / "part" / "cancel").touch() if event["step"] == 13 else None
+    part = run(tmp_path / "part", [Asked()], on_event=stop, black_box_queries=140, **HOW)
+    assert part.stopped == "cancel file" and part.step < part.steps
+    rest = run(tmp_path / "part", [Asked()], resume=True, black_box_queries=140, **HOW)
+    assert np.array_equal(whole.colors, rest.colors) and whole.curve == rest.curve
+    with pytest.raises(InputError, match="black_box_queries"):
+        run(tmp_path / "part", [Asked()], resume=True, black_box_queries=160, **HOW)
+
+
+@pytest.mark.slow
+def test_every_detectors_images_count_and_a_start_is_taken(tmp_path):
+    first = run(tmp_path / "first", [TinyDetector()], steps=1, preview_every=0)
+    result = run(tmp_path / "run", [Asked(), TinyDetector()], black_box_queries=24, init=str(tmp_path / "first"), **HOW)
+    assert result.queries == 24 and result.steps == 1
+    assert 0 < np.abs(result.colors - first.colors).max() <= 0.1  # a single step from there
+    with pytest.raises(InputError, match="fewer than the 24"):
+        steps_within(tiny_settings(black_box_queries=23, batch=4), 2)
+
+
+def test_without_gradients_training_points_to_the_search(tmp_path):
+    with pytest.raises(InputError, match="--black-box-queries"):
+        run(tmp_path / "run", [Asked()])
+    with pytest.raises(InputError, match="without --held-out"):
+        run(tmp_path / "run", [Asked()], black_box_queries=100, held_out=0.2, **HOW)
+
+
+class Blue(Detector):
+    """A surrogate of `Asked` with a gradient, and blind to all but colour."""
+
+    def __init__(self, sign: float = 1.0) -> None:
+        super().__init__(f"blue {sign}", "blue")
+        self.register_buffer("sign", torch.tensor(sign))
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        scores = torch.sigmoid(self.sign * 4 * (images[:, :1] - images[:, 2:]).mean((2, 3)))
+        return Detections(scores.new_zeros(*scores.shape, 4), scores)
+
+
+SHORT = HOW | {"black_box_queries": 68, "angles": "0", "translation": 0, "query_lr": 0.1}
+
+
+def _loss_reached(path, **more):
+    run(path, [Asked()], **SHORT, **more)
+    events = [event for event in read_events(path / "events.jsonl") if event["type"] == "step"]
+    return np.mean([event["disappearance"] for event in events[-3:]])
+
+
+@pytest.mark.slow
+def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_path):
+    alone = _loss_reached(tmp_path / "alone")
+    led = _loss_reached(tmp_path / "led", query_prior=[Blue()])
+    contrary = _loss_reached(tmp_path / "contrary", query_prior=[Blue(-1)])
+    assert led < alone - 0.02 and contrary < alone - 0.02
+    with pytest.raises(InputError, match="query_prior"):
+        run(tmp_path / "led", [Asked()], resume=True, query_prior=[Blue(2)], **SHORT)
+
+
+@pytest.mark.slow
+def test_a_prior_gives_gradients_and_leads_a_search_alone(tmp_path):
+    with pytest.raises(InputError, match="--query-prior asked: gives no gradients"):
+        run(tmp_path / "a", [Asked()], black_box_queries=68, query_prior=[Asked()], **HOW)
+    with pytest.raises(InputError, match="only leads a search"):
+        run(tmp_path / "b", [TinyDetector()], query_prior=[Blue()], **HOW)

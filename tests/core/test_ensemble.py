@@ -1,0 +1,256 @@
+"""Several detectors in one loss, in parts of a batch, and the first stage of those that have one."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.detector.protocol import Detections, join_detections
+from cloak_core.core.ensemble import Ensemble, level
+from cloak_core.core.losses import person_loss
+from cloak_core.core.objective import Objective
+from cloak_core.files.errors import InputError
+from tests.core.fakes import RenamingDetector, TinyDetector, box_bodies, front_logo, tiny_settings
+from tests.core.test_training import run
+
+IMAGES = torch.rand(5, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+
+
+class Proposing(TinyDetector):
+    """Two stages: the objectness of the first depends on the images, too. Counts the images it is shown at a time."""
+
+    def __init__(self, seed: int = 0) -> None:
+        super().__init__(seed)
+        self.shown: list[int] = []
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        self.shown.append(len(images))
+        found = super().forward(images)
+        return found._replace(objectness=None, is_person=None, proposal_scores=found.objectness)
+
+
+def objective(detectors, **changes) -> Objective:
+    """Of the plain score, unless told."""
+    return Objective(
+        tiny_settings(**{"loss": "score"} | changes), front_logo(box_bodies()), detectors, torch.device("cpu")
+    )
+
+
+def asked(ensemble: Ensemble, step: int) -> tuple[int, ...]:
+    return tuple(number for group in ensemble.asked(step) for number in group)
+
+
+def by_hand(detectors, combine) -> tuple[torch.Tensor, torch.Tensor]:
+    """Loss and gradient of the whole batch at once."""
+    images = IMAGES.clone().requires_grad_()
+    loss = combine(torch.stack([person_loss(detector(images)) for detector in detectors])).mean()
+    return loss.detach(), torch.autograd.grad(loss, images)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("microbatch", [None, 1, 2, 5, 7])
+@pytest.mark.parametrize(
+    ("changes", "combine"),
+    [
+        ({}, lambda losses: losses.mean(dim=0)),
+        ({"ensemble": "max"}, lambda losses: losses.amax(dim=0)),
+        ({"ensemble": "weighted", "detector_weights": "1,0,3"}, lambda losses: (losses[0] + 3 * losses[2]) / 4),
+    ],
+)
+def test_loss_and_gradient_of_an_ensemble(changes, combine, microbatch):
+    detectors = [TinyDetector(seed) for seed in range(3)]
+    answer = objective(detectors, **changes, microbatch=microbatch).forward_backward(IMAGES)
+    loss, gradient = by_hand(detectors, combine)
+    torch.testing.assert_close(answer.disappearance, loss)
+    torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
+    for number, detector in enumerate(detectors):
+        torch.testing.assert_close(answer.detections[number].scores, detector(IMAGES).scores)
+
+
+def test_each_detector_has_the_margin_of_its_own_operating_point():
+    detectors = [TinyDetector(seed) for seed in range(2)]
+    for detector, point in zip(detectors, (0.25, 0.65), strict=True):
+        detector.operating_point = point
+    answer = objective(detectors, loss="margin").forward_backward(IMAGES)
+    # Of the second, the run's own threshold lies lower.
+    each = [person_loss(d(IMAGES), "margin", operating_point=p) for d, p in zip(detectors, (0.25, 0.6), strict=True)]
+    torch.testing.assert_close(answer.disappearance, torch.stack(each).mean())
+    assert (each[0] > each[1]).sum() + (each[1] > each[0]).sum() == len(IMAGES)
+
+
+def test_hiding_everything_counts_any_class_on_the_body():
+    detector, bodies = RenamingDetector(), torch.tensor([[8.0, 8.0, 40.0, 56.0]]).expand(len(IMAGES), 4)
+    for loss in ("score", "log", "margin"):
+        answer = objective([detector], loss=loss, hide="everything", microbatch=2).forward_backward(
+            IMAGES, bodies=bodies
+        )
+        images = IMAGES.clone().requires_grad_()
+        found = detector(images)
+        inside = (found.boxes[..., 0] >= 8) & (found.boxes[..., 2] <= 40)
+        inside &= (found.boxes[..., 1] >= 8) & (found.boxes[..., 3] <= 56)
+        best = torch.maximum(found.scores, torch.where(inside, found.other, 0.0))
+        expected = person_loss(Detections(found.boxes, best), loss, operating_point=0.5).mean()
+        (gradient,) = torch.autograd.grad(expected, images)
+        torch.testing.assert_close(answer.disappearance, expected.detach())
+        torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
+    with pytest.raises(ValueError, match="box must be known"):
+        objective([detector], hide="everything").forward_backward(IMAGES)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", [{}, {"black_box_queries": 600, "microbatch": 3}])
+def test_hiding_the_person_alone_renames_it_and_hiding_everything_does_not(tmp_path, how):
+    """Of a detector that takes blue for dogs: hidden from all classes it is neither red nor blue."""
+    seen = {}
+    for hide in ("person", "everything"):
+        colors = run(tmp_path / hide, [RenamingDetector()], hide=hide, steps=40, lr=0.05, tv_weight=0, **how).colors
+        seen[hide] = float((colors[:, 2] - colors[:, 0]).mean())
+    assert seen["person"] > 0.2 > 3 * abs(seen["everything"])
+
+
+@pytest.mark.slow
+def test_microbatches_bound_what_a_detector_is_shown(tmp_path):
+    whole, parts = Proposing(), Proposing()
+    a, b = run(tmp_path / "a", [whole], batch=5), run(tmp_path / "b", [parts], batch=5, microbatch=2)
+    assert set(whole.shown) == {5} and parts.shown == [2, 2, 1] * 6
+    np.testing.assert_allclose(a.colors, b.colors, atol=1e-5)
+    assert not np.array_equal(a.colors, np.full_like(a.colors, 0.5))
+
+
+@pytest.mark.slow
+def test_a_subset_per_step_is_drawn_from_seed_and_step(tmp_path):
+    detectors = [Proposing(seed) for seed in range(4)]
+    chosen = {"detectors_per_step": 2, "steps": 8, "checkpoint_every": 3}
+    draws = lambda seed: [asked(Ensemble(tiny_settings(**chosen).objective, 4, seed), step) for step in range(200)]
+    drawn = draws(0)
+    assert all(len(set(numbers)) == 2 for numbers in drawn) and len(set(drawn)) == 6
+    assert drawn == draws(0) and drawn != draws(1)
+
+    whole = run(tmp_path / "whole", detectors, **chosen)
+    assert [len(detector.shown) for detector in detectors] == [sum(n in a for a in drawn[:8]) for n in range(4)]
+    stop = lambda event: event["type"] == "step" and event["step"] == 4 and (tmp_path / "part" / "cancel").touch()
+    assert run(tmp_path / "part", detectors, on_event=stop, **chosen).step == 4
+    assert np.array_equal(run(tmp_path / "part", detectors, resume=True, **chosen).colors, whole.colors)
+
+
+def test_a_subset_is_at_most_the_whole_ensemble():
+    few = objective([TinyDetector(seed) for seed in range(2)], detectors_per_step=3)
+    assert asked(few.ensemble, 5) == (0, 1)
+
+
+def test_an_adaptive_subset_asks_those_more_often_that_still_see():
+    ensemble = Ensemble(tiny_settings(ensemble="adaptive", detectors_per_step=1).objective, 3)
+    count = lambda: np.bincount([asked(ensemble, step)[0] for step in range(300)], minlength=3)
+    assert count().min() > 70
+    for _ in range(40):
+        ensemble.observe({0: 0.0, 1: 0.9, 2: 0.0})
+    drawn = count()
+    assert drawn[1] > 150 and drawn[[0, 2]].min() > 30
+    loss = {1: torch.ones(4)}
+    torch.testing.assert_close(ensemble.combine(loss, 1), torch.ones(4))
+
+
+def test_subsets_stand_for_the_whole_ensemble():
+    detectors = [TinyDetector(seed) for seed in range(3)]
+    weighted = {"ensemble": "weighted", "detector_weights": "2,1,1"}
+    full = objective(detectors, **weighted).forward_backward(IMAGES)
+    part = objective(detectors, **weighted, detectors_per_step=2)
+    first = {asked(part.ensemble, step): step for step in range(100)}
+    assert len(first) == 3
+    mean = torch.stack([part.forward_backward(IMAGES, step).gradient for step in first.values()]).mean(dim=0)
+    torch.testing.assert_close(mean, full.gradient, rtol=1e-4, atol=1e-9)
+
+
+def test_rpn_weight_reaches_the_first_stage():
+    detector = Proposing()
+    answer = objective([detector], rpn_weight=0.5).forward_backward(IMAGES)
+    images = IMAGES.clone().requires_grad_()
+    found = detector(images)
+    first = (found.proposal_scores * found.scores.detach()).amax(dim=1)
+    (gradient,) = torch.autograd.grad((found.scores.amax(dim=1) + 0.5 * first).mean(), images)
+    torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
+    assert not torch.allclose(answer.gradient, objective([detector]).forward_backward(IMAGES).gradient)
+
+
+def test_rpn_weight_needs_one_detector_with_two_stages(tmp_path):
+    with pytest.raises(InputError, match="--rpn-weight: none of the detectors gives scores of proposals"):
+        run(tmp_path / "none", [TinyDetector(), TinyDetector(1)], rpn_weight=1.0)
+    assert run(tmp_path / "one", [TinyDetector(), Proposing()], rpn_weight=1.0).step == 6
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"ensemble": "weighted"}, "one needs the other"),
+        ({"detector_weights": "1,1"}, "one needs the other"),
+        ({"ensemble": "weighted", "detector_weights": "1"}, "--detector-weights: 1 weights, but the run has 2"),
+        ({"ensemble": "weighted", "detector_weights": "0,0"}, "--detector-weights: '0,0' holds a negative weight"),
+        ({"ensemble": "weighted", "detector_weights": "1,x"}, "--detector-weights: 'x' in '1,x' is not a number"),
+        ({"detectors_per_step": 0}, "--detectors-per-step: 0 is not in"),
+        ({"microbatch": 0}, "--microbatch: 0 is not in"),
+        ({"ensemble": "min"}, "--ensemble: 'min' is not one of mean, max, weighted"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_a_run_begins(changes, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        run(tmp_path / "run", [TinyDetector(), TinyDetector(1)], **changes)
+    assert not (tmp_path / "run").exists()
+
+
+def test_join_detections_pads():
+    one = Detections(torch.ones(2, 3, 4), torch.ones(2, 3), proposal_scores=torch.ones(2, 3))
+    two = Detections(torch.ones(1, 5, 4), torch.ones(1, 5), proposal_scores=torch.ones(1, 5))
+    joined = join_detections([one, two])
+    assert joined.boxes.shape == (3, 5, 4) and joined.scores.sum(dim=1).tolist() == [3, 3, 5]
+    assert joined.boxes[0, 3:].abs().sum() == 0 and joined.objectness is None
+    assert joined.proposal_scores is not None and joined.proposal_scores.shape == (3, 5)
+
+
+def test_a_level_is_one_half_at_the_operating_point():
+    scores = torch.tensor([0.0, 0.25, 0.6, 1.0])
+    assert level(scores, 0.25).tolist() == pytest.approx([0, 0.5, 9 / 11, 1])
+    assert level(scores, 0.6).tolist() == pytest.approx([0, 2 / 11, 0.5, 1])
+
+
+def test_an_adaptive_ensemble_weighs_most_what_still_sees():
+    settings = tiny_settings(ensemble="adaptive").objective
+    ensemble = Ensemble(settings, 3)
+    assert ensemble.weights.tolist() == pytest.approx([1 / 3] * 3)
+    for _ in range(60):
+        ensemble.observe({0: 0.0, 1: 0.2, 2: 1.0})
+    assert ensemble.weights.sum() == pytest.approx(1)
+    assert ensemble.weights[2] > 0.9 and ensemble.weights[1] > ensemble.weights[0] > 0
+    losses = {number: torch.full((2,), float(number == 2)) for number in range(3)}
+    assert ensemble.combine(losses, 3).tolist() == pytest.approx([ensemble.weights[2]] * 2)
+    other = Ensemble(settings, 3)
+    other.load(ensemble.state())
+    assert np.array_equal(other.weights, ensemble.weights)
+    with pytest.raises(ValueError, match="other detectors"):
+        Ensemble(settings, 2).load(ensemble.state())
+
+
+@pytest.mark.slow
+def test_runs_with_every_technique_resume_to_the_same_bits(tmp_path):
+    changes = {
+        "ensemble": "adaptive", "shake": 0.3, "random_depth": 0.1, "activation_noise": 0.1, "cutout": 0.5, "crop": 0.2,
+        "pad": 0.2, "tint": 0.2, "background_mix": 0.5, "optimizer": "mi", "momentum": 0.5, "sharpness": 0.05,
+        "smooth": 2, "preview_every": 0,
+    }  # fmt: skip
+    detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]
+    whole = run(tmp_path / "whole", detectors, snapshot_every=3, **changes)
+    kept = [np.load(tmp_path / "whole" / "snapshots" / f"step-{step:08d}.npy") for step in (3, 6)]
+    assert np.array_equal(kept[1], whole.colors) and not np.array_equal(*kept)
+    stop = lambda event: (tmp_path / "part" / "cancel").touch() if event["step"] == 3 else None
+    part = run(tmp_path / "part", detectors, on_event=stop, **changes)
+    assert part.stopped
+    rest = run(tmp_path / "part", detectors, resume=True, **changes)
+    assert np.array_equal(whole.colors, rest.colors)
+    assert not np.array_equal(whole.colors, run(tmp_path / "plain", detectors, preview_every=0).colors)
+
+
+@pytest.mark.parametrize("ascent", ["gradient", "momentum"])
+def test_the_gradient_is_taken_where_colours_are_worse(tmp_path, ascent):
+    plain = run(tmp_path / "plain", steps=3, preview_every=0)
+    raised = run(tmp_path / "raised", steps=3, preview_every=0, sharpness=0.1, ascent=ascent)
+    assert not np.array_equal(plain.colors, raised.colors)
+    with pytest.raises(InputError, match="--ascent momentum"):
+        tiny_settings(optimizer="sgd", sharpness=0.1, ascent="momentum")

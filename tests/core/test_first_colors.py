@@ -1,0 +1,95 @@
+"""The colours that a training begins with."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.cloth import Cloth
+from cloak_core.core.cloth_on_logo import ClothOnLogo
+from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.logo import load_logo, make_logo
+from cloak_core.core.settings import make_settings
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.bodies.logos.prints import PRINTS, print_picture
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors, on_squares
+from tests.sources.bodies.solids import cube
+
+
+@pytest.fixture(scope="module")
+def samples() -> Bodies:
+    return sample_bodies()
+
+
+def test_grey_random_and_clothing(samples: Bodies) -> None:
+    logo = load_logo(samples, "chest")
+    begin = lambda initial, seed=0: first_colors(
+        make_settings("best", initial=initial).optimization, samples, logo, seed
+    )
+    assert np.array_equal(begin("clothing"), samples.face_colors[0, logo.face_ids])
+    assert (begin("grey") == 0.5).all() and begin("grey").shape == (len(logo), 3)
+    assert torch.equal(begin("random", 1), begin("random", 1)) and not torch.equal(
+        begin("random", 1), begin("random", 2)
+    )
+
+
+def test_the_animal_looks_out_of_chest_and_back(samples: Bodies) -> None:
+    logo = load_logo(samples, "shirt+trousers")
+    colors = animal_face(samples, logo)
+    centres, normals = face_centres(samples)[logo.face_ids], face_normals(samples)[logo.face_ids]
+    tall = np.ptp(samples.vertices[0][:, 1])
+    for front in (True, False):
+        side = (normals[:, 2] > 0) == front
+        dark = side & (colors == np.float32(DARK)).all(1)
+        left, right = (dark & (centres[:, 0] * sign > 0.04 * tall) for sign in (1, -1))
+        assert left.any() and right.any(), "two eyes"
+        eyes, nose = centres[left | right, 1].mean(), centres[dark & ~left & ~right, 1].mean()
+        assert 0.05 * tall < eyes - nose < 0.15 * tall
+        assert abs(centres[left, 1].mean() - centres[right, 1].mean()) < 0.01 * tall
+        assert centres[dark, 1].min() > centres[:, 1].min() + 0.3 * tall, "on the trunk, not on the legs"
+    assert (colors == 0.5).all(1).mean() > 0.3, "arms and legs begin grey"
+
+
+def test_a_small_logo_gets_a_small_animal_and_a_flat_one_none(samples: Bodies) -> None:
+    chest = load_logo(samples, "chest")
+    colors = animal_face(samples, chest)
+    assert (colors == np.float32(DARK)).all(1).any() and (colors == np.float32(FUR)).all(1).any()
+    side = make_logo(cube(), [1])
+    assert (animal_face(cube(), side) == 0.5).all()
+    assert np.isfinite(animal_face(cube(), make_logo(cube(), [0, 1, 4, 5]))).all()
+
+
+def test_a_cloth_begins_with_a_print_as_sharp_as_its_squares(samples: Bodies) -> None:
+    logo = load_logo(samples, "chest")
+    settings = make_settings("best", initial="ellipses").optimization
+    on_faces = first_colors(settings, samples, logo)
+    dark = (on_faces == 0).all(dim=1)
+    assert on_faces.shape == (len(logo), 3) and 0.2 < dark.float().mean() < 0.6, "the gaps between the shapes"
+    # A square of 1 mm is a pixel of the print; 50 cm hold two pieces in either direction.
+    piece = print_picture("ellipses")
+    for pieces in (1, 2):
+        cloth = ClothOnLogo.of(Cloth.of(0.25 * pieces, 0.001), samples, logo)
+        squares = on_squares(cloth, settings, on_faces).numpy().reshape(*2 * [250 * pieces], 3)
+        assert np.abs(squares - np.tile(piece / 255, (pieces, pieces, 1))).max() < 0.003
+    # What is no whole number of pieces wide is filled without a seam all the same.
+    squares = on_squares(ClothOnLogo.of(Cloth.of(0.3, 0.0012), samples, logo), settings, on_faces)
+    assert np.abs(squares.numpy().reshape(250, 250, 3) - piece / 255).max() < 0.003
+
+
+def test_a_cloth_that_begins_otherwise_takes_the_mean_of_its_faces(samples: Bodies) -> None:
+    logo = load_logo(samples, "chest")
+    cloth = ClothOnLogo.of(Cloth.of(0.25, 0.05), samples, logo)
+    for changes in ({"initial": "random"}, {"initial": "ellipses", "init": "zoo:some"}):
+        settings = make_settings("best", **changes).optimization
+        first = first_colors(make_settings("best", initial="random").optimization, samples, logo)
+        assert np.array_equal(on_squares(cloth, settings, first), cloth.of_faces(first.numpy()))
+
+
+def test_every_print_can_be_begun_with() -> None:
+    for name in PRINTS:
+        assert make_settings("photographs", initial=name).optimization.initial == name
+
+
+def test_the_transfer_preset_begins_with_the_animal() -> None:
+    assert make_settings("transfer").optimization.initial == "animal"
+    assert make_settings("best").optimization.initial == "grey"

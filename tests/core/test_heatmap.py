@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.detector.protocol import Detections
+from cloak_core.files.errors import InputError
+from cloak_core.studies.trainings.heatmap import heatmap
+from tests.core.fakes import SIDE, BrokenDetector, TinyDetector, box_bodies, noise_backgrounds
+
+FACES = 6 * SIDE * SIDE
+
+
+class TopRowDetector(TinyDetector):
+    """The mean of the image's upper half, as a score: linear, so the heat is known."""
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        height = images.shape[2]
+        scores = images[:, :, : height // 2].mean(dim=(1, 2, 3))[:, None]
+        return Detections(torch.zeros(len(images), 1, 4), scores)
+
+
+def test_heat_is_where_the_detector_looks():
+    bodies = box_bodies(1)
+    heat = heatmap(bodies, TopRowDetector(), noise_backgrounds(), [0.0], size=64)
+    assert heat.shape == (FACES,) and heat.dtype == np.float32
+    front = heat[: SIDE * SIDE].reshape(SIDE, SIDE)  # columns x, rows y
+    assert (front[:, SIDE // 2 :] > 0).all() and (front[:, 0] == 0).all()
+    assert (heat[SIDE * SIDE : 2 * SIDE * SIDE] == 0).all()  # the far side
+    # Each covered pixel of the upper half gives its three channels 1 / (3 * 32 * 64), times light of at most 0.8.
+    assert 0 < heat.sum() < 0.8 * 3 * 32 * 64 / (3 * 32 * 64)
+
+
+def test_it_says_how_far_it_is():
+    told = []
+    heatmap(
+        box_bodies(2),
+        TopRowDetector(),
+        noise_backgrounds(),
+        [0.0, 20.0],
+        size=64,
+        backgrounds_per_view=2,
+        on_progress=lambda done, total: told.append((done, total)),
+    )
+    assert told == [(2, 8), (4, 8), (6, 8), (8, 8)]
+
+
+def test_heat_is_the_mean_over_views():
+    bodies, backgrounds = box_bodies(2), noise_backgrounds()
+    heat = lambda poses, angles: heatmap(
+        bodies.select_poses(poses), TopRowDetector(), backgrounds, angles, size=64, backgrounds_per_view=2
+    )
+    both = heat([0, 1], [0.0, 20.0])
+    apart = [heat([pose], [angle]) for pose in (0, 1) for angle in (0.0, 20.0)]
+    assert not np.allclose(apart[0], apart[3])
+    assert np.allclose(both, np.mean(apart, axis=0), atol=1e-7)
+
+
+def test_bad_input():
+    bodies = box_bodies(1)
+    with pytest.raises(InputError, match="not finite"):
+        heatmap(bodies, BrokenDetector(0), noise_backgrounds(), [0.0], size=64)
+    black_box = TinyDetector()
+    black_box.differentiable = False
+    with pytest.raises(InputError, match="no gradients"):
+        heatmap(bodies, black_box, noise_backgrounds(), [0.0])

@@ -1,0 +1,132 @@
+"""Run folders that strangers made: one clear line, nothing executed, nothing written elsewhere."""
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cloak_core.core.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from cloak_core.core.events import read_events, rewind_events
+from cloak_core.core.settings import make_settings, settings_from_record, settings_record
+from cloak_core.files.errors import InputError
+from tests.core.test_training import run
+
+
+@pytest.fixture
+def finished(tmp_path):
+    run(tmp_path / "run")
+    return tmp_path / "run"
+
+
+def _config(change):
+    def damage(folder: Path) -> None:
+        record = json.loads((folder / "config.json").read_text())
+        change(record)
+        (folder / "config.json").write_text(json.dumps(record))
+
+    return damage
+
+
+def _symlink(name: str):
+    def damage(folder: Path) -> None:
+        elsewhere = folder.parent / "elsewhere"
+        elsewhere.mkdir()
+        (elsewhere / ".step-mine").mkdir()
+        (folder / name).rename(folder.parent / "moved")
+        (folder / name).symlink_to(elsewhere)
+
+    return damage
+
+
+def _as_file(folder: Path) -> None:
+    (folder / "previews").rename(folder.parent / "moved")
+    (folder / "previews").write_text("")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda folder: (folder / "config.json").unlink(),
+        lambda folder: (folder / "config.json").write_text("{"),
+        lambda folder: (folder / "config.json").write_text("[" * 100_000),
+        lambda folder: (folder / "config.json").write_bytes(pickle.dumps({})),
+        lambda folder: (folder / "config.json").write_text("{}"),
+        _config(lambda record: record.update(settings=[])),
+        _config(lambda record: record.update(settings=None)),
+        _config(lambda record: record["settings"].update(lr="NaN")),
+        _config(lambda record: record["scene"].update(sha256="0" * 64)),
+        _config(lambda record: record.update(detectors={"spec": "tiny:0"})),
+        _symlink("checkpoint"),
+        _symlink("previews"),
+        _as_file,
+    ],
+)
+def test_a_run_folder_that_is_not_ours_is_refused(finished, damage):
+    damage(finished)
+    with pytest.raises(InputError) as refused:
+        run(finished, resume=True)
+    assert "\n" not in str(refused.value) and "run" in str(refused.value)
+    elsewhere = finished.parent / "elsewhere"
+    assert not elsewhere.exists() or [p.name for p in elsewhere.iterdir()] == [".step-mine"]
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+quick = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.mark.slow
+@quick
+@given(st.sampled_from(list(settings_record(make_settings("best")))), json_values)
+def test_any_value_of_any_setting_is_taken_or_refused_by_name(name, value):
+    record = {"epochs": None, "steps": 5} | {name: value}
+    try:
+        settings_from_record(record)
+    except InputError as error:
+        named = "--" + name.replace("_", "-")
+        assert named in str(error) or name in ("size", "steps", "epochs"), error
+        assert "\n" not in str(error).replace(repr(value), "")
+
+
+@pytest.mark.slow
+@quick
+@given(st.lists(st.binary(max_size=60) | json_values.map(lambda v: json.dumps(v).encode()), max_size=6))
+def test_any_event_log_is_read_and_rewound(tmp_path, lines):
+    path = tmp_path / "events.jsonl"
+    path.write_bytes(b"\n".join(lines))
+    assert all(isinstance(event, dict) for event in read_events(path))
+    assert isinstance(rewind_events(path, 3), (int, float))
+    read_events(path)
+
+
+@pytest.mark.slow
+@quick
+@given(st.binary(max_size=300), json_values)
+def test_any_checkpoint_is_read_or_named(tmp_path, data, record):
+    import torch
+
+    folder = tmp_path / "checkpoint"
+    folder.mkdir(exist_ok=True)
+    save_checkpoint(folder, Checkpoint(7, 1.0, {"parameter": torch.zeros(2, 3)}))
+    (folder / "step-00000007" / "state.safetensors").write_bytes(data)
+    if record is not None:
+        (folder / "step-00000007" / "state.json").write_text(json.dumps(record))
+    found, damaged = load_checkpoint(folder)
+    assert found is None and len(damaged) == 1
+
+
+def test_colours_of_another_run_are_named(finished):
+    import torch
+
+    save_checkpoint(finished / "checkpoint", Checkpoint(99, 1.0, {"parameter": torch.zeros(2, 3)}))
+    with pytest.raises(InputError, match="holds another run's state"):
+        run(finished, resume=True)
+    assert np.load(finished / "colors.npy").shape == (16, 3)

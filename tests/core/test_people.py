@@ -1,0 +1,150 @@
+"""Training on photographs of made people: what is drawn, what counts, and resuming to the same bits."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.detector.outcomes import only_hers
+from cloak_core.core.detector.protocol import Detections
+from cloak_core.core.logo import load_logo
+from cloak_core.core.people import PeopleViews, draw_framing
+from cloak_core.core.sampling import Sampler
+from cloak_core.core.settings import make_settings
+from cloak_core.core.settings.people import PeopleSettings
+from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import load_people
+from cloak_core.studies.trainings.training import train
+from tests.core.fakes import RedDetector, noise_backgrounds
+from tests.sources.photographs.made_people import write_people
+
+pytestmark = pytest.mark.slow
+
+
+class CellDetector(RedDetector):
+    """Finds persons in red cells, and says where the cells are."""
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        found = super().forward(images)
+        side = images.shape[-1] // 8
+        y, x = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
+        corners = torch.stack([x, y, x + 1, y + 1], dim=-1).reshape(1, -1, 4) * 8.0
+        return found._replace(boxes=corners.expand(len(images), -1, -1))
+
+
+@pytest.fixture(scope="module")
+def fits(tmp_path_factory):
+    return fit_people(load_people(write_people(tmp_path_factory.mktemp("people"), 2)))
+
+
+def settings(**changes):
+    return make_settings(
+        "best", **({"steps": 4, "batch": 2, "size": 64, "translation": 5, "checkpoint_every": 2} | changes)
+    )
+
+
+def run(out, fits, bodies="sample[0:1]", **changes):
+    bodies = load_scene(bodies)
+    logo = load_logo(bodies, region="shirt+trousers")
+    resume = changes.pop("resume", False)
+    given = (settings(**changes), bodies, logo, [CellDetector()], noise_backgrounds(), out)
+    return train(*given, people=fits, resume=resume)
+
+
+def test_everybody_is_shown_equally_often():
+    sampler = Sampler(settings(steps=20, batch=5), 1, 1, 5, people_count=10)
+    shown = np.concatenate([sampler.draw(step).person for step in range(20)])
+    assert np.bincount(shown).tolist() == [10] * 10
+
+
+def test_the_share_of_renders_is_kept():
+    sampler = Sampler(settings(steps=100, batch=8, people_share=0.25), 1, 1, 5, people_count=10)
+    shown = np.concatenate([sampler.draw(step).person for step in range(100)])
+    assert abs((shown >= 0).mean() - 0.25) < 0.06
+
+
+def test_without_people_nothing_is_drawn_otherwise():
+    bare, with_people = (Sampler(settings(), 3, 2, 5, people_count=count) for count in (0, 4))
+    one, other = bare.draw(1), with_people.draw(1)
+    assert (one.person == -1).all()
+    assert all(
+        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("pose", "azimuth", "seed", "shift")
+    )
+
+
+def test_a_framing_keeps_most_of_the_person(fits):
+    for seed in range(50):
+        framing = draw_framing(np.random.default_rng(seed), fits[0], PeopleSettings(), 64)
+        x0, y0, x1, y1 = framing.box(fits[0].person.box)
+        inside = (min(x1, 64) - max(x0, 0)) * (min(y1, 64) - max(y0, 0))
+        assert inside > 0.7 * (x1 - x0) * (y1 - y0)
+
+
+def test_views_depend_on_person_and_seed_alone(fits):
+    logo = load_logo(load_scene("sample[0:1]"), region="shirt")
+    views = PeopleViews(fits, logo, PeopleSettings(), 64)
+    one, same, other = views.view(0, 5), views.view(0, 5), views.view(0, 6)
+    assert torch.equal(one.base_color, same.base_color) and torch.equal(one.logo_weight, same.logo_weight)
+    assert one.box != other.box
+
+
+def test_training_on_photographs_alone_lowers_the_loss(tmp_path, fits):
+    result = run(tmp_path / "run", fits, steps=12, lr=0.2, contrast="1", brightness="0", noise=0)
+    assert np.abs(result.colors - 0.5).mean() > 0.05
+
+
+def test_photographs_and_renders_go_together(tmp_path, fits):
+    assert run(tmp_path / "run", fits, people_share=0.5).step == 4
+
+
+def test_a_resumed_run_ends_with_the_same_bits(tmp_path, fits):
+    whole = run(tmp_path / "whole", fits, people_share=0.7)
+    (tmp_path / "run").mkdir()
+    run(tmp_path / "part", fits, people_share=0.7, max_seconds=1e-9)
+    resumed = run(tmp_path / "part", fits, people_share=0.7, resume=True)
+    assert np.abs(whole.colors - 0.5).max() > 0.01
+    assert resumed.step == 4 and np.array_equal(whole.colors, resumed.colors)
+
+
+def test_resuming_with_other_people_is_refused(tmp_path, fits):
+    run(tmp_path / "run", fits, max_seconds=1e-9)
+    with pytest.raises(InputError, match="people"):
+        run(tmp_path / "run", fits[:1], resume=True)
+
+
+def boxes(*rows):
+    values = torch.tensor(rows, dtype=torch.float32)[None]
+    return Detections(values[..., :4], values[..., 4])
+
+
+BODY = torch.tensor([[100.0, 100.0, 200.0, 400.0]])
+NOBODY = torch.zeros(1, 0, 4)
+
+
+def test_somebody_behind_her_lies_in_her_box_and_not_on_her_mask():
+    mask = torch.zeros(1, 500, 500, dtype=torch.bool)
+    mask[:, 100:400, 100:150] = True
+    behind, drawn = boxes([155, 110, 195, 250, 0.9]), boxes([105, 200, 145, 260, 0.8])
+    assert only_hers(behind, BODY, NOBODY).scores.tolist() == [[pytest.approx(0.9)]]
+    assert only_hers(behind, BODY, NOBODY, masks=mask).scores.tolist() == [[0.0]]
+    assert only_hers(drawn, BODY, NOBODY, masks=mask).scores.tolist() == [[pytest.approx(0.8)]]
+
+
+def test_a_small_person_drawn_on_the_cloth_counts():
+    assert only_hers(boxes([120, 200, 160, 260, 0.9]), BODY, NOBODY).scores.tolist() == [[pytest.approx(0.9)]]
+
+
+def test_a_box_elsewhere_does_not_count():
+    assert only_hers(boxes([300, 100, 400, 400, 0.9]), BODY, NOBODY).scores.tolist() == [[0.0]]
+
+
+def test_a_neighbours_box_does_not_count():
+    others = torch.tensor([[[150.0, 110.0, 250.0, 390.0]]])
+    found = only_hers(boxes([152, 110, 250, 390, 0.9], [100, 100, 200, 400, 0.8]), BODY, others)
+    assert found.scores.tolist() == [[0.0, pytest.approx(0.8)]]
+
+
+def test_on_renders_every_box_counts():
+    found = only_hers(boxes([300, 100, 400, 400, 0.9]), BODY, NOBODY, torch.tensor([True]))
+    assert found.scores.tolist() == [[pytest.approx(0.9)]]

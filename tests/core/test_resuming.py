@@ -1,0 +1,134 @@
+"""Runs that were stopped, damaged or finished go on, to the same bits, or are refused by name."""
+
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from cloak_core.core import run_folder, sampling
+from cloak_core.core.events import read_events
+from cloak_core.exchange.colors import read_colors
+from cloak_core.files.errors import InputError
+from tests.core.fakes import (
+    TinyDetector,
+)
+from tests.core.test_training import run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["file", "budget", "signal"])
+def test_stopped_runs_go_on_to_the_same_bits(tmp_path, how):
+    whole = run(tmp_path / "whole", steps=7)
+
+    def stop(event):
+        if event["type"] == "step" and event["step"] == 3:
+            if how == "file":
+                (tmp_path / "run" / "cancel").touch()
+            elif how == "signal":
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    changes = {"max_seconds": 1e-6} if how == "budget" else {}
+    part = run(tmp_path / "run", steps=7, on_event=stop, **changes)
+    assert part.step == (1 if how == "budget" else 3)
+    assert part.stopped == {"file": "cancel file", "budget": "time budget", "signal": "SIGTERM"}[how]
+    assert part.record()["stopped"].startswith("stopped at step")
+    assert np.array_equal(read_colors(tmp_path / "run" / "colors.npy"), part.colors)
+    rest = run(tmp_path / "run", steps=7, resume=True)
+    assert (rest.step, rest.stopped) == (7, "")
+    assert np.array_equal(rest.colors, whole.colors)
+    events = [e for e in read_events(tmp_path / "run" / "events.jsonl") if e["type"] == "step"]
+    assert [e["step"] for e in events] == [1, 2, 3, 4, 5, 6, 7]
+    assert [e["time"] for e in events] == sorted(e["time"] for e in events)
+    drop_time = lambda es: [{k: v for k, v in e.items() if k != "time"} for e in es if e["type"] == "step"]
+    assert drop_time(events) == drop_time(read_events(tmp_path / "whole" / "events.jsonl"))
+
+
+@pytest.mark.slow
+def test_fresh_views_go_on_to_the_same_bits(tmp_path):
+    """A camera of its own for every image: distances, angles and elevations from ranges."""
+    fresh = {"distance": "1.8:3", "angle_jitter": 5, "elevation_jitter": 2, "steps": 7}
+    whole = run(tmp_path / "whole", **fresh)
+    part = run(tmp_path / "part", max_seconds=1e-6, **fresh)
+    assert part.step == 1
+    rest = run(tmp_path / "part", resume=True, **fresh)
+    assert np.array_equal(whole.colors, rest.colors)
+    assert not np.array_equal(whole.colors, run(tmp_path / "fixed", steps=7).colors)
+
+
+@pytest.mark.slow
+def test_hard_views_and_distortions_go_on_to_the_same_bits(tmp_path, monkeypatch):
+    """New chances every third step, so that the run stops with some that are not yet in force."""
+    monkeypatch.setattr(sampling, "EVERY", 3)
+    scheme = {"angles": "0..360", "hard_views": 0.6, "occluders": 2, "blur": 1, "jpeg": "40:80", "zoom": "0.8:1.2"}
+    whole = run(tmp_path / "whole", steps=9, **scheme)
+    for seconds in (1e-6,) * 4:
+        run(tmp_path / "part", steps=9, max_seconds=seconds, resume=True, **scheme)
+    rest = run(tmp_path / "part", steps=9, resume=True, **scheme)
+    assert rest.stopped == "" and np.array_equal(whole.colors, rest.colors)
+    others = run(tmp_path / "even", steps=9, **(scheme | {"hard_views": 0.0}))
+    assert not np.array_equal(whole.colors, others.colors)
+
+
+@pytest.mark.slow
+def test_resuming_a_finished_run_changes_nothing(tmp_path):
+    done = run(tmp_path / "run")
+    again = run(tmp_path / "run", resume=True)
+    assert np.array_equal(done.colors, again.colors) and again.stopped == ""
+    assert again.figures == done.figures and again.record()["loss"] == done.record()["loss"]
+
+
+@pytest.mark.slow
+def test_resuming_what_does_not_exist_starts_it(tmp_path):
+    assert np.array_equal(run(tmp_path / "a", resume=True).colors, run(tmp_path / "b").colors)
+
+
+@pytest.mark.slow
+def test_a_damaged_checkpoint_costs_its_steps_only(tmp_path):
+    whole = run(tmp_path / "whole", steps=7)
+    run(tmp_path / "run", steps=7)
+    for latest in sorted((tmp_path / "run" / "checkpoint").iterdir())[1:]:
+        (latest / "state.safetensors").write_bytes(b"torn")
+    heard = []
+    rest = run(tmp_path / "run", steps=7, resume=True, on_event=heard.append)
+    assert heard[0]["type"] == "resume" and heard[0]["step"] == 6 and "torn or changed" in heard[0]["damaged"][0]
+    assert np.array_equal(rest.colors, whole.colors)
+
+
+@pytest.mark.slow
+def test_resuming_with_anything_else_is_refused_by_name(tmp_path):
+    run(tmp_path / "run")
+    with pytest.raises(InputError, match=r"settings\.seed = 0, not 1"):
+        run(tmp_path / "run", resume=True, seed=1)
+    with pytest.raises(InputError, match="detectors"):
+        run(tmp_path / "run", [TinyDetector(1)], resume=True)
+    run(tmp_path / "run", resume=True, checkpoint_every=5)
+
+
+@pytest.mark.slow
+def test_a_run_of_an_earlier_version_resumes_with_the_defaults(tmp_path):
+    done = run(tmp_path / "run")
+    record = json.loads((tmp_path / "run" / "config.json").read_text())
+    for name in ("patience", "nps_weight"):
+        del record["settings"][name]
+    del record["palette"]
+    (tmp_path / "run" / "config.json").write_text(json.dumps(record))
+    assert np.array_equal(run(tmp_path / "run", resume=True).colors, done.colors)
+    with pytest.raises(InputError, match=r"settings\.held_out = 0\.0, not 0\.2"):
+        run(tmp_path / "run", resume=True, held_out=0.2)
+
+
+def test_a_run_that_appears_meanwhile_is_gone_on_with(tmp_path, monkeypatch):
+    """Another process makes the folder between our look and our start: resuming goes on, a new run is refused."""
+    start = run_folder._start
+
+    def twice(*arguments: object) -> None:
+        start(*arguments)
+        start(*arguments)
+
+    monkeypatch.setattr(run_folder, "_start", twice)
+    with pytest.raises(InputError, match="first"):
+        run(tmp_path / "first", steps=2)
+    run(tmp_path / "second", steps=2, resume=True)
+    assert (tmp_path / "second" / "colors.npy").exists()

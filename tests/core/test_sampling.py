@@ -1,0 +1,99 @@
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from cloak_core.core.sampling import Draws, Sampler, cameras, is_fresh
+from cloak_core.core.settings import make_settings
+
+
+def sampler(poses=3, outfits=2, backgrounds=7, **changes) -> Sampler:
+    return Sampler(make_settings("paper", **changes), poses, outfits, backgrounds)
+
+
+def whole_run(of: Sampler) -> Draws:
+    steps = [of.draw(step) for step in range(of.steps)]
+    return Draws(**{f.name: np.concatenate([getattr(s, f.name) for s in steps]) for f in fields(Draws)})
+
+
+def test_an_epoch_shows_every_background_once_at_every_angle():
+    of = sampler(epochs=3, batch=4, angles="-10:10:5")
+    draws = whole_run(of)
+    assert len(draws) == of.images == 3 * 35
+    for epoch in range(3):
+        part = slice(epoch * 35, (epoch + 1) * 35)
+        pairs = set(zip(draws.background[part], draws.azimuth[part], strict=True))
+        assert pairs == {(b, a) for b in range(7) for a in (-10.0, -5.0, 0.0, 5.0, 10.0)}
+        counts = np.bincount(draws.pose[part], minlength=3)
+        assert counts.max() - counts.min() <= 1
+
+
+def test_the_last_batch_is_what_is_left():
+    of = sampler(epochs=1, batch=8, angles="0")
+    assert of.steps == 1 and len(of.draw(0)) == 7
+    assert len(sampler(steps=3, batch=8, angles="0").draw(2)) == 8
+
+
+@pytest.mark.slow
+def test_draws_depend_on_seed_and_step_alone():
+    one, other = sampler(steps=50, seed=5), sampler(steps=50, seed=5)
+    for step in (40, 3, 41, 0):
+        for field in fields(Draws):
+            assert np.array_equal(getattr(one.draw(step), field.name), getattr(other.draw(step), field.name))
+    assert not np.array_equal(one.draw(3).shift, sampler(steps=50, seed=6).draw(3).shift)
+    assert not np.array_equal(one.draw(3).shift, one.draw(4).shift)
+
+
+@pytest.mark.slow
+def test_ranges_are_kept_and_used():
+    of = sampler(steps=200, distance="1.4:3.0", contrast="0.8:1.2", brightness="-0.1:0.1", angle_jitter=2, angles="0",
+                 elevation_jitter=1)  # fmt: skip
+    draws = whole_run(of)
+    for values, low, high in (
+        (draws.distance, 1.4, 3.0),
+        (draws.contrast, 0.8, 1.2),
+        (draws.brightness, -0.1, 0.1),
+        (draws.azimuth, -2, 2),
+        (draws.shift, -50, 50),
+    ):
+        spread = high - low
+        assert low <= values.min() < low + 0.05 * spread and high - 0.05 * spread < values.max() <= high
+    assert draws.elevation.mean() == pytest.approx(6, abs=0.1) and draws.elevation.std() == pytest.approx(1, abs=0.1)
+    assert set(draws.outfit) == {0, 1}
+    assert is_fresh(of.settings.views) and not is_fresh(make_settings("paper").views)
+
+
+def test_one_translation_per_batch():
+    shift = sampler(steps=5, translation_per="batch").draw(3).shift
+    assert (shift == shift[0]).all() and shift.any()
+
+
+def test_the_first_outfit_alone():
+    of = Sampler(make_settings("paper", steps=20, outfits="first"), 3, 4, 7)
+    assert not whole_run(of).outfit.any()
+
+
+def test_shares_make_up_the_batch():
+    draws = sampler(steps=5).draw(2)
+    shares = [draws.share(rank, 3) for rank in range(3)]
+    assert sorted(np.concatenate([s.seed for s in shares])) == sorted(draws.seed)
+    assert [len(s) for s in shares] == [3, 3, 2]
+
+
+@pytest.mark.slow
+def test_equal_draws_give_equal_cameras():
+    of = sampler(steps=50, angles="0")
+    assert len({camera for step in range(50) for camera in cameras(of.draw(step), of.settings.views)}) == 1
+    camera = cameras(of.draw(0), of.settings.views)[0]
+    assert (camera.distance, camera.elevation, camera.azimuth, camera.width) == (2.2, 6.0, 0.0, 416)
+
+
+@pytest.mark.slow
+def test_a_continuous_range_is_dealt_evenly_and_used_everywhere():
+    of = sampler(steps=360, batch=10, angles="0..360", elevation="-5:20")
+    draws = whole_run(of)
+    assert len(of.angles) == 36 and is_fresh(of.settings.views)
+    counts = np.histogram(draws.azimuth, np.arange(0, 361, 10))[0]
+    assert (abs(counts - 100) <= 4).all()
+    assert len(set(draws.azimuth)) == 3600 and draws.elevation.min() < -4 and draws.elevation.max() > 19
+    assert {type(camera.azimuth) for camera in cameras(of.draw(0), of.settings.views)} == {float}

@@ -1,0 +1,279 @@
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import settings as runs
+from hypothesis import strategies as st
+
+from cloak_core.commands import train
+from cloak_core.core.settings import (
+    PRESETS,
+    TrainSettings,
+    make_settings,
+    merge,
+    settings_from_record,
+    settings_record,
+)
+from cloak_core.core.settings.components import OptimizerSettings, RunSettings
+from cloak_core.core.settings.values import Angles, Azimuths, Range, Weights
+from cloak_core.files.errors import InputError
+
+OLD_RUNS = Path(__file__).parents[1] / "old_versions" / "v0.1.0"
+
+
+@pytest.mark.parametrize(
+    ("spec", "angles"),
+    [
+        ("0", (0.0,)),
+        ("-10:10:5", (-10.0, -5.0, 0.0, 5.0, 10.0)),
+        ("-10,0,10", (-10.0, 0.0, 10.0)),
+        ("-1:1", (-1.0, 0.0, 1.0)),
+        ("0:1:0.1", tuple(round(i / 10, 9) for i in range(11))),
+        ("0:9:4", (0.0, 4.0, 8.0)),
+    ],
+)
+def test_angles(spec, angles):
+    assert Angles.parse(spec) == angles
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ["", "a", "1:2:0", "1:2:-1", "2:1", "1:2:3:4", "1,2:3", "nan", "inf", "0,0", "1,,2", "400", "0:360:0.0001"],
+)
+def test_bad_angles_are_refused(spec):
+    with pytest.raises(ValueError):
+        Angles.parse(spec)
+
+
+def test_ranges():
+    assert Range.parse("2.2") == Range(2.2, 2.2)
+    assert Range.parse("1.4:3") == Range(1.4, 3.0)
+    for spec in ("3:1.4", "1:2:3", "x", "nan:1"):
+        with pytest.raises(ValueError, match=spec.split(":")[0]):
+            Range.parse(spec)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_are_valid_and_survive_json(preset):
+    settings = make_settings(preset)
+    assert settings.preset == preset
+    assert settings_from_record(settings_record(settings)) == settings
+
+
+def test_presets_hold_the_documented_differences():
+    paper, reference = make_settings("paper"), make_settings("reference")
+    first, other = paper.optimization, reference.optimization
+    assert (first.optimizer, first.lr, first.schedule, first.lr_epochs, paper.run.epochs) == (
+        "sgd",
+        0.1,
+        "step",
+        10,
+        100,
+    )
+    assert (paper.objective.loss, paper.augmentation.translation, paper.objective.tv_weight) == ("score", 50, 2.5)
+    assert (reference.objective.loss, other.momentum, reference.augmentation.translation) == ("objectness", 0.9, 25)
+    assert other.lr == pytest.approx(1e-2 / math.sqrt(reference.run.batch))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("lr", math.nan), ("lr", 0.0), ("lr", -1.0), ("lr", math.inf), ("tv_weight", -0.1), ("tv_weight", math.nan),
+        ("batch", 0), ("batch", -3), ("steps", 0), ("steps", -5), ("epochs", math.nan), ("epochs", 0.0),
+        ("momentum", 1.0), ("noise", 2.0), ("noise", math.nan), ("size", 0), ("samples", 3), ("threads", 0),
+        ("threshold", 1.0), ("threshold", math.nan), ("translation", -1), ("translation", 208), ("seed", -1),
+        ("distance", "3:1"), ("distance", "0:1"), ("distance", "-2"), ("contrast", "1.2:0.8"), ("contrast", "-1:1"),
+        ("brightness", "x"), ("angles", "5:1:1"), ("optimizer", "rmsprop"), ("loss", "x"), ("schedule", "linear"),
+        ("initial", "blue"), ("device", None), ("field_of_view", 180.0), ("elevation", 91.0), ("checkpoint_every", -1),
+        ("elevation_jitter", 22.0), ("max_seconds", 0.0), ("outfits", "none"), ("reduce", "mean"), ("batch", 1.5),
+        ("lr", "fast"), ("batch", True), ("preset", "mine"),
+    ],
+)  # fmt: skip
+def test_bad_values_are_refused_by_name(name, value):
+    length = {} if name == "epochs" else {"epochs": None, "steps": 10}
+    with pytest.raises(InputError, match="--" + name.replace("_", "-")):
+        settings_from_record(length | {name: value})
+
+
+def test_impossible_combinations():
+    with pytest.raises(InputError, match="--steps and --epochs"):
+        TrainSettings(run=RunSettings(epochs=1.0, steps=1))
+    with pytest.raises(InputError, match="--steps and --epochs"):
+        TrainSettings(run=RunSettings(epochs=None))
+    with pytest.raises(InputError, match="--steps and --epochs"):
+        make_settings("paper", steps=5, epochs=2)
+    with pytest.raises(InputError, match="--momentum"):
+        make_settings("best", momentum=0.9)
+    with pytest.raises(InputError, match="--colour: no such setting"):
+        make_settings("best", colour=1)
+    with pytest.raises(InputError, match="--preset"):
+        make_settings("worst")
+
+
+def test_steps_replace_epochs_and_back():
+    assert make_settings("paper", steps=5).run.epochs is None
+    assert make_settings("best", epochs=2).run.steps is None
+
+
+def test_an_epoch_is_every_background_at_every_angle():
+    settings = make_settings("paper", epochs=3, batch=4, angles="-10:10:5")
+    assert settings.epoch_images(7) == 35
+    assert settings.total_steps(7) == math.ceil(3 * 35 / 4)
+    assert make_settings("paper", steps=11).total_steps(7) == 11
+
+
+def test_whole_numbers_are_taken_where_numbers_are_meant():
+    settings = make_settings("best", lr=1, angles=0, distance=2, batch=4.0)
+    assert settings.optimization.lr == 1.0 and isinstance(settings.optimization.lr, float)
+    assert (
+        settings.views.angles.starts == (0,) and settings.views.distance == Range(2.0, 2.0) and settings.run.batch == 4
+    )
+
+
+def test_settings_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        make_settings("best").optimization.lr = 1.0
+
+
+def test_ranges_of_azimuths():
+    circle = Azimuths.parse("0..360")
+    assert circle.starts == tuple(range(0, 360, 10)) and circle.width == 10 and circle.centers[0] == 5
+    narrow = Azimuths.parse("-12..12")
+    assert len(narrow.starts) == 3 and narrow.width == 8
+    assert Azimuths.parse("-10:10:5").starts == Angles.parse("-10:10:5") and Azimuths.parse("0").width == 0
+    for bad in ("10..0", "0..0", "0..400", "-200..200", "0..", "a..b", "0..10..20"):
+        with pytest.raises(ValueError):
+            Azimuths.parse(bad)
+
+
+def test_what_distorts_is_off_in_the_papers_presets_and_bounded():
+    for preset in ("paper", "reference"):
+        record = settings_record(make_settings(preset))
+        off = [record[name] for name in ("hard_views", "occluders", "zoom", "blur", "jpeg")]
+        assert off == [0, 0, "1", 0, None]
+    for bad in ({"zoom": "0:1"}, {"blur": 3}, {"jpeg": "0:50"}, {"hard_views": 1.5}, {"occluders": -1},
+                {"elevation": "95"}, {"elevation": "10:5"}):  # fmt: skip
+        with pytest.raises(InputError, match="--" + next(iter(bad)).replace("_", "-")):
+            make_settings("best", **bad)
+
+
+finite = st.floats(-300, 300, allow_nan=False).map(lambda x: round(x, 6) + 0.0)
+ranges = st.tuples(finite, finite).map(lambda pair: Range(min(pair), max(pair)))
+angles = st.lists(finite, min_size=1, max_size=6, unique=True).map(Angles)
+sweeps = ranges.filter(lambda r: 0 < r.width <= 360)
+weights = st.lists(st.floats(0, 1e6), min_size=1, max_size=5).filter(any).map(Weights)
+
+
+@runs(max_examples=50)
+@given(st.one_of(ranges, angles, weights, st.one_of(angles, sweeps).map(Azimuths)))
+def test_values_are_read_as_they_are_spelled(value):
+    assert type(value).parse(str(value)) == value
+
+
+@pytest.mark.slow
+@runs(max_examples=40)
+@given(
+    st.fixed_dictionaries(
+        {"preset": st.sampled_from(list(PRESETS))},
+        optional={
+            "angles": st.one_of(angles, sweeps).map(Azimuths).map(str),
+            "elevation": ranges.filter(lambda r: -85 <= r.low and r.high <= 85).map(str),
+            "contrast": ranges.filter(lambda r: r.low >= 0).map(str),
+            "jpeg": st.none() | ranges.filter(lambda r: 1 <= r.low and r.high <= 100).map(str),
+            "lr": st.floats(1e-9, 1e9),
+            "noise": st.floats(0, 1),
+            "steps": st.integers(1, 10_000_000),
+            "samples": st.sampled_from([None, 1, 4, 16, 64]),
+            "seed": st.integers(0, 2**63 - 1),
+        },
+    )
+)
+def test_a_record_through_json_is_the_same_settings(changes):
+    settings = make_settings(**changes)
+    record = json.loads(json.dumps(settings_record(settings)))
+    assert settings_from_record(record) == settings
+    assert {name: record[name] for name in changes} == changes
+
+
+@pytest.mark.parametrize("run", ["done", "stopped"])
+def test_records_of_the_first_version_are_read(run):
+    record = json.loads((OLD_RUNS / run / "config.json").read_text())["settings"]
+    now = settings_record(settings_from_record(record))
+    assert {name for name in record if now[name] != record[name]} <= {"distance"}  # "2.0:2.4" is spelled "2:2.4" now
+    assert settings_from_record(record).views.distance == Range.parse(record["distance"])
+
+
+def test_later_layers_win_and_steps_and_epochs_replace_each_other():
+    merged = merge({"preset": "paper", "lr": 1, "epochs": 3}, {"lr": 2, "steps": 7})
+    assert (merged["preset"], merged["lr"], merged["steps"], merged["epochs"]) == ("paper", 2, 7, None)
+    assert merge({"preset": "paper"}, {"preset": "reference"})["momentum"] == 0.9
+    assert merge({"epochs": 3})["steps"] is None and merge()["steps"] == 600
+    with pytest.raises(InputError, match="--steps and --epochs"):
+        settings_from_record(merge({"steps": 3, "epochs": 2}))
+
+
+def from_command_line(tmp_path: Path, toml: str, *options: str) -> TrainSettings:
+    from cloak_core import cli
+
+    (tmp_path / "some.toml").write_text(toml)
+    required = ["--scene", "s", "--logo", "l", "--out", "o", "--config", str(tmp_path / "some.toml")]
+    command = cli.parse("train", [*required, *options])
+    assert isinstance(command, train.Train)
+    return command.settings
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("toml", "options", "wanted"),
+    [
+        ("momentum = 0.9", ["--optimizer", "sgd"], {"optimizer": "sgd", "momentum": 0.9, "schedule": "cosine"}),
+        ('optimizer = "sgd"', ["--momentum", "0.9"], {"optimizer": "sgd", "momentum": 0.9}),
+        ('ensemble = "weighted"', ["--detector-weights", "1,3"], {"ensemble": "weighted", "detector_weights": "1,3"}),
+        ('detector-weights = "1,3"', ["--ensemble", "weighted"], {"detector_weights": "1,3"}),
+        ("size = 64", ["--translation", "8"], {"size": 64, "translation": 8}),
+        ("translation = 40", ["--size", "96", "--preset=reference"], {"size": 96, "translation": 40, "momentum": 0.9}),
+        ("momentum = 0.5", ["--preset", "reference"], {"momentum": 0.5, "optimizer": "sgd"}),
+        ('preset = "paper"', ["--steps", "9"], {"preset": "paper", "steps": 9, "epochs": None}),
+        ("steps = 9", ["--epochs=2"], {"steps": None, "epochs": 2.0}),
+        ("nps_weight = 1", ["--palette", "p.txt"], {"nps_weight": 1.0, "palette": "p.txt"}),
+        ("patience = 3", ["--held-out", "0.2"], {"patience": 3, "held_out": 0.2}),
+        ("angles = 0", ["--angles", "-10:10:10"], {"angles": "-10:10:10"}),
+        ("lr = 1\nangles = 0", ["--brightness", "-0.2:0"], {"lr": 1.0, "angles": "0", "brightness": "-0.2:0"}),
+    ],
+)  # fmt: skip
+def test_preset_file_and_flags_are_merged_before_they_are_checked(tmp_path, toml, options, wanted):
+    record = settings_record(from_command_line(tmp_path, toml, *options))
+    assert {name: record[name] for name in wanted} == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("toml", "options", "words"),
+    [
+        ("momentum = 0.9", [], "--momentum: Adam"),
+        ("size = 64", [], "--translation: 50 px"),
+        ("", ["--ensemble", "weighted"], "--detector-weights"),
+        ("", ["--steps", "3", "--epochs", "2"], "--steps and --epochs"),
+        ("colour = 1", [], "some.toml: --colour: no such setting"),
+        ('optimizer = "rmsprop"', [], "some.toml: --optimizer: 'rmsprop' is not one of sgd, adam, mi"),
+        ('distance = "3:1"', [], "some.toml: --distance: '3:1' is an inverted range"),
+        ("", ["--optimizer", "rmsprop"], "train: --optimizer: 'rmsprop' is not one of adam, mi, sgd"),
+        ("", ["--distance", "3:1"], "train: .*--distance.*3:1.* inverted"),
+        ("", ["--angles", "x"], "train: .*--angles.*'x'"),
+        ("", ["--size", "3"], r"--size: 3 is not in \[16, 4096\]"),
+        ("preset = 3", [], "some.toml: --preset: 3"),
+    ],
+)
+def test_what_does_not_go_together_is_one_line_that_names_the_flag(tmp_path, toml, options, words):
+    with pytest.raises(InputError, match=words) as refused:
+        from_command_line(tmp_path, toml, *options)
+    assert "\n" not in str(refused.value)
+
+
+def test_components_alone_are_checked_when_they_are_put_together():
+    invalid = OptimizerSettings(optimizer="adam", momentum=0.9)
+    with pytest.raises(InputError, match="--momentum"):
+        TrainSettings(optimization=invalid)

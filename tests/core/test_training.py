@@ -1,0 +1,304 @@
+import dataclasses
+import itertools
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.checkpoints import load_checkpoint
+from cloak_core.core.detector.protocol import state_hash
+from cloak_core.core.events import read_events
+from cloak_core.core.settings import make_settings
+from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.studies.trainings.training import TrainingError, train
+from tests.core.fakes import (
+    BrokenDetector,
+    RedDetector,
+    TinyDetector,
+    back_logo,
+    box_bodies,
+    front_logo,
+    noise_backgrounds,
+)
+from tests.core.fakes import tiny_settings as settings
+
+
+def run(out: Path, detectors=None, logo=None, resume=False, on_event=None, query_prior=(), **changes):
+    bodies = box_bodies()
+    return train(
+        settings(**changes),
+        bodies,
+        logo or front_logo(bodies),
+        detectors or [TinyDetector()],
+        noise_backgrounds(),
+        out,
+        resume=resume,
+        on_event=on_event,
+        query_prior=query_prior,
+    )
+
+
+def files(folder: Path) -> set[str]:
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.slow
+def test_a_run_folder_is_complete(tmp_path):
+    heard = []
+    detector = TinyDetector()
+    before = state_hash(detector)
+    result = run(tmp_path / "run", [detector], on_event=heard.append)
+    assert state_hash(detector) == before
+    assert (result.step, result.steps, result.stopped) == (6, 6, "")
+    folder = tmp_path / "run"
+    assert files(folder) == {
+        ".lock", "config.json", "logo.npy", "logo.json", "events.jsonl", "colors.npy",
+        "checkpoint/step-00000004/state.json", "checkpoint/step-00000004/state.safetensors",
+        "checkpoint/step-00000006/state.json", "checkpoint/step-00000006/state.safetensors",
+        "previews/step-00000003.png", "previews/step-00000006.png",
+    }  # fmt: skip
+    bodies = box_bodies()
+    config = json.loads((folder / "config.json").read_text())
+    assert config["topology"] == bodies.topology
+    told = {"spec": "tiny:0", "name": "tiny", "sha256": before, "precision": "float32", "compiled": False}
+    told |= {"operating_point": 0.5, "source": {"spec": "tiny:0"}, "packages": {}}
+    assert config["detectors"] == [told]
+    assert config["settings"]["steps"] == 6
+    assert (read_face_list(folder / "logo.npy", bodies).ids == front_logo(bodies).face_ids).all()
+    assert np.array_equal(read_colors(folder / "colors.npy", 16), result.colors)
+    assert read_events(folder / "events.jsonl") == heard
+    assert [e["type"] for e in heard][:2] == ["start", "step"] and heard[-1]["outcome"] == "done"
+    steps = [e for e in heard if e["type"] == "step"]
+    assert [e["step"] for e in steps] == [1, 2, 3, 4, 5, 6]
+    for event in steps:
+        assert event["loss"] == pytest.approx(event["disappearance"] + 2.5 * event["tv"], abs=1e-6)
+        assert 0 <= event["success"] <= 1
+    times = [e["time"] for e in heard]
+    assert times == sorted(times)
+    assert result.record()["loss"] == steps[-1]["loss"] and "stopped" not in result.record()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["paper", "reference", "best"])
+def test_training_lowers_the_loss(tmp_path, preset):
+    small = {"steps": 60, "batch": 4, "size": 64, "translation": 5, "samples": 1, "angles": "0"}
+    # An epoch is one image here, so the paper's decay would end learning after ten.
+    chosen = make_settings(preset, **small, lr=3, lr_epochs=1000, tv_weight=0)
+    heard = []
+    bodies = box_bodies()
+    night = Backgrounds(["night"], lambda index, height, width: np.zeros((height, width, 3), np.uint8))
+    train(chosen, bodies, front_logo(bodies), [RedDetector()], night, tmp_path / "run", on_event=heard.append)
+    losses = [e["loss"] for e in heard if e["type"] == "step"]
+    assert np.mean(losses[-10:]) < 0.9 * np.mean(losses[:10])
+
+
+@pytest.mark.slow
+def test_equal_seeds_give_equal_colours(tmp_path):
+    first, second, other = (run(tmp_path / name, seed=seed) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
+    assert np.array_equal(first.colors, second.colors)
+    assert not np.array_equal(first.colors, other.colors)
+
+
+@pytest.mark.slow
+def test_several_detectors_share_the_loss(tmp_path):
+    heard = {}
+    for name, seeds in (("one", [0]), ("other", [1]), ("both", [0, 1])):
+        events = heard.setdefault(name, [])
+        run(tmp_path / name, [TinyDetector(seed) for seed in seeds], on_event=events.append, steps=1)
+    value = {name: next(e for e in events if e["type"] == "step")["disappearance"] for name, events in heard.items()}
+    assert value["both"] == pytest.approx((value["one"] + value["other"]) / 2)
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_written_before_a_run_can_begin(tmp_path):
+    bodies = box_bodies()
+    out = tmp_path / "run"
+    with pytest.raises(InputError, match="none of its 16 faces is seen from the training angles -10,10"):
+        run(out, logo=back_logo(bodies))
+    with pytest.raises(InputError, match="--detector"):
+        train(settings(), bodies, front_logo(bodies), [], noise_backgrounds(), out)
+    black_box = TinyDetector()
+    black_box.differentiable = False
+    with pytest.raises(InputError, match="tiny:0: gives no gradients"):
+        run(out, [black_box])
+    foreign = dataclasses.replace(front_logo(bodies), topology="0" * 64)
+    with pytest.raises(InputError, match="topology 0000"):
+        run(out, logo=foreign)
+    with pytest.raises(InputError, match="--device"):
+        run(out, device="gpu")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_an_existing_folder_is_left_alone(tmp_path):
+    run(tmp_path / "run", steps=1)
+    before = {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
+    with pytest.raises(InputError, match="exists already"):
+        run(tmp_path / "run")
+    (tmp_path / "other").mkdir()
+    for resume in (False, True):
+        with pytest.raises(InputError, match=r"other: (exists already|not a run folder)"):
+            run(tmp_path / "other", resume=resume)
+    assert list((tmp_path / "other").iterdir()) == []
+    assert before == {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("in_gradient", [False, True])
+def test_not_finite_stops_before_the_update_and_names_the_step(tmp_path, in_gradient):
+    with pytest.raises(TrainingError, match=r"step 3: .*not finite") as raised:
+        run(tmp_path / "run", [BrokenDetector(4, in_gradient)], checkpoint_every=1)
+    if not in_gradient:
+        assert "output of tiny:0" in str(raised.value)
+    sound = run(tmp_path / "sound", steps=3, schedule="constant")
+    broken = read_colors(tmp_path / "run" / "colors.npy")
+    assert np.isfinite(broken).all() and broken.shape == sound.colors.shape
+    assert [e["type"] for e in read_events(tmp_path / "run" / "events.jsonl")][-2:] == ["error", "checkpoint"]
+    resumed = run(tmp_path / "run", resume=True, checkpoint_every=1)
+    assert np.array_equal(resumed.colors, run(tmp_path / "whole").colors)
+
+
+# --- stopping and going on -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_background_that_vanishes_ends_the_run_with_what_was_reached(tmp_path):
+    """And when it is back, the run goes on as if nothing had happened."""
+    missing = tmp_path / "run" / "missing"
+
+    def draw(index, height, width):
+        if missing.exists():
+            raise InputError("image 3: no such file")
+        return np.full((height, width, 3), 40 * index, np.uint8)
+
+    def load_backgrounds():
+        return Backgrounds([f"image {i}" for i in range(5)], draw, memory_bytes=1)
+
+    def attempt(out, on_event=None, resume=False):
+        bodies = box_bodies()
+        chosen = settings(steps=7, checkpoint_every=5)
+        return train(chosen, bodies, front_logo(bodies), [TinyDetector()], load_backgrounds(), out,
+                     on_event=on_event, resume=resume)  # fmt: skip
+
+    whole = attempt(tmp_path / "whole")
+    with pytest.raises(InputError, match="image 3: no such file"):
+        attempt(tmp_path / "run", lambda e: missing.touch() if (e["type"], e["step"]) == ("step", 3) else None)
+    # The next batch may have been built already.
+    assert load_checkpoint(tmp_path / "run" / "checkpoint")[0].step in (3, 4)
+    missing.unlink()
+    assert np.array_equal(attempt(tmp_path / "run", resume=True).colors, whole.colors)
+
+
+@pytest.mark.slow
+def test_two_runs_in_one_folder(tmp_path):
+    refused = []
+
+    def second(event):
+        if event["type"] == "step" and event["step"] == 1:
+            thread = threading.Thread(target=attempt)
+            thread.start()
+            thread.join()
+
+    def attempt():
+        try:
+            run(tmp_path / "run", resume=True)
+        except InputError as error:
+            refused.append(str(error))
+
+    run(tmp_path / "run", on_event=second)
+    assert len(refused) == 1 and "another process is training" in refused[0]
+    assert [e["step"] for e in read_events(tmp_path / "run" / "events.jsonl") if e["type"] == "step"] == [
+        1,
+        2,
+        3,
+        4,
+        5,
+        6,
+    ]
+
+
+# --- the whole chain -------------------------------------------------------------------------------------------------
+
+
+def test_gradient_of_the_whole_chain_against_finite_differences():
+    """Colours -> compositing with all augmentations -> detector -> loss, on the real step's objective."""
+    from cloak_core.core.batches import Batcher
+    from cloak_core.core.losses import disappearance, total_variation
+    from cloak_core.core.sampling import Sampler
+    from cloak_core.core.visibility.settings import RenderSettings
+    from cloak_core.sources.bodies.view_cache import ViewCache
+
+    bodies, chosen = box_bodies(), settings(batch=2)
+    logo = front_logo(bodies)
+    backgrounds = noise_backgrounds()
+    sampler = Sampler(chosen, bodies.pose_count, bodies.outfit_count, len(backgrounds))
+    batch = Batcher(
+        chosen, sampler, ViewCache(bodies, RenderSettings(samples=1)), logo.face_ids, backgrounds, torch.device("cpu")
+    ).batch(0)
+    detector = TinyDetector()
+    edges, lengths = torch.from_numpy(logo.edges), torch.from_numpy(logo.edge_lengths).float()
+
+    def objective(colors):
+        return disappearance(detector(batch.images(colors)), "score", "logsumexp") + 0.1 * total_variation(
+            colors, edges, lengths
+        )
+
+    generator = torch.Generator().manual_seed(0)
+    colors = (0.3 + 0.4 * torch.rand(16, 3, generator=generator)).requires_grad_()
+    objective(colors).backward()
+    assert (colors.grad != 0).all()
+    for _ in range(5):
+        direction = torch.randn(16, 3, generator=generator)
+        with torch.no_grad():
+            ends = [objective(colors + sign * 3e-3 * direction).double() for sign in (1, -1)]
+        numeric = (ends[0] - ends[1]) / 6e-3
+        assert numeric.item() == pytest.approx((colors.grad * direction).sum().item(), rel=0.03, abs=2e-4)
+
+
+# --- what is seen of a run that goes on, and printable colours -------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_latest_colours_are_shown_while_a_run_goes_on(tmp_path, monkeypatch):
+    """Every LIVE_SECONDS, without a checkpoint; here after every step."""
+    monkeypatch.setattr("cloak_core.core.loop.LIVE_SECONDS", 0.0)
+    shown = []
+
+    def watch(event):
+        path = tmp_path / "run" / "colors.npy"
+        if event["type"] == "step" and path.exists():
+            shown.append(read_colors(path, 16))
+            assert not any((tmp_path / "run" / "checkpoint").iterdir())
+
+    result = run(tmp_path / "run", on_event=watch, checkpoint_every=0)
+    assert len(shown) == 5
+    assert all(not np.array_equal(a, b) for a, b in itertools.pairwise([*shown, result.colors]))
+
+
+@pytest.mark.slow
+def test_a_palette_draws_the_colours_to_it(tmp_path):
+    palette = tmp_path / "cloth.txt"
+    palette.write_text("#202020\n#c02040\n0.2 0.3 0.9\n")
+    options = {"steps": 60, "noise": 0, "tv_weight": 0, "lr": 0.05}
+    free = run(tmp_path / "free", palette=str(palette), **options)
+    bound = run(tmp_path / "bound", palette=str(palette), nps_weight=100, **options)
+    assert bound.figures.nps < 0.05 < free.figures.nps
+    assert bound.figures.loss == pytest.approx(bound.figures.disappearance + 100 * bound.figures.nps, abs=1e-4)
+    config = json.loads((tmp_path / "bound" / "config.json").read_text())
+    assert config["palette"]["colors"] == 3
+    moved = palette.rename(tmp_path / "moved.txt")
+    again = run(tmp_path / "bound", palette=str(moved), nps_weight=100, resume=True, **options)
+    assert np.array_equal(again.colors, bound.colors)
+    moved.write_text("#202020\n")
+    with pytest.raises(InputError, match=r"palette\.colors = 3, not 1"):
+        run(tmp_path / "bound", palette=str(moved), nps_weight=100, resume=True, **options)
+    with pytest.raises(InputError, match="--nps-weight: needs a --palette"):
+        settings(nps_weight=1)

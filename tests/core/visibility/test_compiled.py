@@ -1,0 +1,78 @@
+"""Loops are compiled whether or not there is a place to keep what the compiler made, and not needed at all."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+from numba.core import caching, event
+
+from cloak_core.bench.growth import sphere
+from cloak_core.core.cameras import Camera
+from cloak_core.core.visibility import compiled
+from cloak_core.core.visibility.compiled import loop, torch_alone
+from cloak_core.sources.bodies.view_cache import ViewCache
+
+CAMERA = Camera(width=48, height=64)
+
+
+def doubled(value):
+    return 2 * value
+
+
+def test_a_place_for_compiled_loops_is_not_needed(monkeypatch) -> None:
+    kept = loop(doubled)
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    not_kept = loop(doubled)
+    assert kept(4) == not_kept(4) == 8
+    assert type(kept._cache) is not type(not_kept._cache)
+
+
+def test_kept_loops_are_stale_when_a_file_that_they_call_changes(tmp_path, monkeypatch) -> None:
+    """numba alone would compare the caller's file and run what the callee was."""
+    (tmp_path / "cpu").mkdir()
+    for name in ("compiled", "packing", "screen", "cpu/callee"):
+        (tmp_path / f"{name}.py").write_text("")
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
+    compiled._source_stamp.cache_clear()
+    before = loop(doubled)._cache._cache_file._source_stamp
+    (tmp_path / "cpu" / "callee.py").write_text("changed")
+    compiled._source_stamp.cache_clear()
+    assert loop(doubled)._cache._cache_file._source_stamp != before
+    compiled._source_stamp.cache_clear()
+
+
+@pytest.mark.slow
+def test_without_numba_torch_does_it_all() -> None:
+    code = """
+import sys
+sys.modules["numba"] = None
+from cloak_core.bench.growth import sphere
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.core.cameras import Camera
+print(float(ViewCache(sphere(600)).view(0, Camera(width=48, height=64)).weight.sum()))
+"""
+    without = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    with torch_alone():
+        torch_own = float(ViewCache(sphere(600)).view(0, CAMERA).weight.sum())
+    assert without == torch_own
+    assert abs(float(ViewCache(sphere(600)).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without
+
+
+@pytest.mark.parametrize(("folder", "often"), [("/somewhere", "once after installation"), (None, "at every start")])
+def test_that_loops_are_being_compiled_is_said_once(folder, often, monkeypatch, caplog) -> None:
+    monkeypatch.setattr(compiled._saying, "said", False)
+
+    def compiling(module: str) -> None:
+        dispatcher = SimpleNamespace(
+            py_func=SimpleNamespace(__module__=module), stats=SimpleNamespace(cache_path=folder)
+        )
+        with event.trigger_event("numba:compile", data={"dispatcher": dispatcher}):
+            pass
+
+    compiling("somebody.elses")
+    assert not caplog.records
+    for _ in range(2):
+        compiling("cloak_core.render.loops")
+    (record,) = caplog.records
+    assert "compiling the loops that draw, " + often in record.getMessage()

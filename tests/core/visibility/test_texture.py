@@ -1,0 +1,126 @@
+"""Textures: looked up point by point when a view is built, constant ever after."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from bodies_made import sphere
+
+from cloak_core.core.cameras import Camera
+from cloak_core.core.paint import compose
+from cloak_core.core.visibility.settings import Light, RenderSettings
+from cloak_core.core.visibility.texture import look_up, texture_coordinates
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.bodies.meshes.subdivision import subdivide
+from cloak_core.sources.bodies.meshes.textures import dress_in_textures
+from cloak_core.sources.bodies.view_cache import ViewCache
+
+FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
+SIDE = 64
+
+
+def ramp() -> np.ndarray:
+    """Red grows to the right, green upwards."""
+    rise = (np.arange(256) + 0.5) / 256 * 255
+    right, up = np.broadcast_to(rise, (256, 256)), np.broadcast_to(rise[::-1, None], (256, 256))
+    return np.rint(np.stack([right, up, np.full((256, 256), 100.0)], axis=-1)).astype(np.uint8)
+
+
+def sheet(count: int = 1) -> Bodies:
+    """A square of `count` x `count` quads, one metre wide, facing +z, its texture coordinates its x and y."""
+    axis = np.linspace(0, 1, count + 1)
+    uv = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    vertices = np.concatenate([uv - 0.5, np.zeros((len(uv), 1))], axis=1)
+    corner = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).reshape(-1)
+    quads = corner[:, None] + [0, 1, count + 2, count + 1]
+    triangles = quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    return Bodies(
+        vertices=vertices[None],
+        triangles=triangles,
+        triangle_face=np.repeat(np.arange(len(quads)), 2),
+        loop_total=np.full(len(quads), 4),
+        loop_vertices=quads.reshape(-1),
+        uv=uv,
+        triangle_uv=triangles,
+    )
+
+
+def render(cache: ViewCache, camera: Camera, logo: np.ndarray, outfit: int = 0) -> np.ndarray:
+    view = cache.bake(0, camera, logo, outfit)
+    black = torch.zeros(1, 3, camera.height, camera.width)
+    return compose([view], torch.full((len(logo), 3), 0.25), black)[0].permute(1, 2, 0).numpy()
+
+
+@pytest.mark.parametrize("samples", [None, 1, 16])
+@pytest.mark.parametrize(("count", "slant"), [(2, 0.0), (2, 50.0), (40, 0.0), (100, 30.0)])
+def test_a_ramp_is_seen_as_a_ramp(samples: int | None, count: int, slant: float) -> None:
+    """Faces larger and smaller than a pixel, in perspective: every pixel shows what the picture says at its middle."""
+    bodies = dress_in_textures(sheet(count), {"ramp": ramp()})
+    camera = Camera(distance=1.5, elevation=0.0, azimuth=slant, width=SIDE, height=SIDE)
+    image = render(ViewCache(bodies, RenderSettings(light=FLAT, samples=samples)), camera, np.array([0]))
+    at = (np.arange(SIDE) + 0.5 - SIDE / 2) / camera.focal
+    # Where the ray through each pixel meets the sheet z = 0, seen from the side by `slant` degrees.
+    depth = 1.5 / (1 + at * np.tan(np.radians(slant)))
+    u, v = at * depth / np.cos(np.radians(slant)) + 0.5, -at[:, None] * depth + 0.5
+    u = np.broadcast_to(u, v.shape)
+    edge, logo = 0.06, 1 / count + 0.06
+    inside = (np.minimum(u, v) > edge) & (np.maximum(u, v) < 1 - edge) & (np.maximum(u, v) > logo)
+    assert inside.sum() > 300
+    assert np.abs(image[..., 0] - u)[inside].max() < 0.015
+    assert np.abs(image[..., 1] - v)[inside].max() < 0.015
+    assert np.abs(image[..., 2] - 100 / 255)[inside].max() < 0.003
+    on_logo = (np.minimum(u, v) > edge) & (np.maximum(u, v) < 1 / count - edge)
+    assert np.allclose(image[on_logo], 0.25, atol=1e-5), "the logo's faces override the texture"
+
+
+def test_a_texture_of_plain_cells_is_the_plain_outfit() -> None:
+    """Each face's own cell in the picture: a textured outfit renders as its plain twin does, to rounding."""
+    plain = sphere(9, 14)
+    count, side = plain.face_count, 4
+    cells = np.rint(plain.face_colors[0] * 255).astype(np.uint8)
+    picture = cells.repeat(side, axis=0)[None].repeat(side, axis=0)
+    uv = np.stack([(np.arange(count) + 0.5) / count, np.full(count, 0.5)], axis=1)
+    colors = np.stack([cells / np.float32(255), plain.face_colors[1]])
+    bodies = dataclasses.replace(
+        plain,
+        face_colors=colors,
+        uv=uv,
+        triangle_uv=np.arange(count)[:, None].repeat(3, axis=1),
+        textures={"cells": picture},
+        outfit_textures=("cells", ""),
+    )
+    camera, logo = Camera(distance=4.0, azimuth=20.0, width=60, height=50), np.arange(20, 40)
+    textured = ViewCache(bodies)
+    bare = ViewCache(dataclasses.replace(bodies, outfit_textures=()))
+    for outfit in (0, 1):
+        np.testing.assert_allclose(
+            render(textured, camera, logo, outfit), render(bare, camera, logo, outfit), atol=1e-5
+        )
+
+
+def test_polygons_and_their_subdivision_show_the_same_picture() -> None:
+    bodies = dress_in_textures(sheet(6), {"ramp": ramp()})
+    finer, parent = subdivide(bodies, 2)
+    assert np.allclose(finer.face_colors[0][parent == 0].mean(axis=0), bodies.face_colors[0, 0], atol=0.01)
+    camera = Camera(distance=1.5, elevation=0.0, width=SIDE, height=SIDE)
+    coarse, fine = (
+        render(ViewCache(b, RenderSettings(light=FLAT)), camera, np.flatnonzero(p == 0))
+        for b, p in ((bodies, np.arange(36)), (finer, parent))
+    )
+    assert np.abs(coarse - fine).max() < 0.02
+
+
+def test_look_up_is_linear_between_texels_and_repeats() -> None:
+    picture = torch.tensor([[[0, 0, 0], [255, 0, 0]], [[0, 255, 0], [255, 255, 0]]], dtype=torch.uint8)
+    uv = torch.tensor([[0.25, 0.5, 0.75, 1.25, -0.5], [0.75, 0.75, 0.25, 1.75, 0.5]])
+    seen = look_up(picture, uv)
+    expected = [[0, 0, 0], [0.5, 0, 0], [1, 1, 0], [0, 0, 0], [0.5, 0.5, 0]]
+    assert torch.allclose(seen, torch.tensor(expected))
+
+
+def test_points_outside_are_moved_into_their_triangle() -> None:
+    corners = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]).unsqueeze(2).expand(2, 3, 2)
+    uv = texture_coordinates(corners, torch.tensor([0.25, -0.5]), torch.tensor([0.5, 0.5]))
+    assert torch.allclose(uv, torch.tensor([[0.25, 0.0], [0.5, 1 / 3]]), atol=0.02)
+    assert uv.min() > 0

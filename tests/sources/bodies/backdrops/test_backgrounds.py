@@ -1,0 +1,155 @@
+"""Backgrounds: folders with every kind of image and damage, and the procedural scenes."""
+
+import logging
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+
+
+def _save(path, array, **options):
+    Image.fromarray(np.asarray(array, np.uint8)).save(path, **options)
+
+
+def _halves(height, width, left=(255, 0, 0), right=(0, 0, 255)):
+    array = np.empty((height, width, 3), np.uint8)
+    array[:, : width // 2], array[:, width // 2 :] = left, right
+    return array
+
+
+def test_folder_takes_all_formats_by_name(tmp_path):
+    for name in ("c.webp", "a.JPG", "b.png"):
+        _save(tmp_path / name, _halves(40, 60))
+    (tmp_path / "notes.txt").write_text("no image")
+    _save(tmp_path / ".hidden.png", _halves(40, 60))
+    backgrounds = load_backgrounds(tmp_path, size=(32, 32))
+    assert backgrounds.names == ("a.JPG", "b.png", "c.webp")
+    batch = backgrounds.batch([0, 1, 2], 32, 32)
+    assert batch.shape == (3, 3, 32, 32) and batch.dtype == torch.float32
+    expected = torch.tensor([1.0, 0, 0])[:, None, None].expand(3, 32, 12)
+    assert (batch[:, :, :, :12] - expected).abs().max() < 0.12  # lossy formats
+
+
+@pytest.mark.parametrize("shape", [(30, 200), (200, 30), (31, 33), (500, 500)])
+def test_crop_is_centred_and_undistorted(tmp_path, shape):
+    """A disc in the middle of the picture stays a disc in the middle, whatever the aspect."""
+    height, width = shape
+    radius = min(shape) / 4
+    y, x = np.mgrid[:height, :width] + 0.5
+    disc = (np.hypot(y - height / 2, x - width / 2) < radius) * 255
+    _save(tmp_path / "disc.png", np.repeat(disc[..., None], 3, 2))
+    image = load_backgrounds(tmp_path, size=(64, 64)).image(0, (64, 64))[0].float() / 255
+    rows, columns = image.sum(1), image.sum(0)
+    assert abs(image.sum() - np.pi * 16**2) < 45
+    assert abs(rows.max() - 32) < 2.5 and abs(columns.max() - 32) < 2.5
+    centre = torch.arange(64) + 0.5
+    assert (
+        abs((rows * centre).sum() / rows.sum() - 32) < 0.5 and abs((columns * centre).sum() / columns.sum() - 32) < 0.5
+    )
+
+
+def test_rectangular_size(tmp_path):
+    _save(tmp_path / "a.png", _halves(40, 60))
+    assert load_backgrounds(tmp_path).image(0, (24, 48)).shape == (3, 24, 48)
+
+
+def test_exif_orientation_is_applied(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6  # stored on its side: turn clockwise to view
+    _save(tmp_path / "turned.jpg", _halves(64, 64), exif=exif, quality=95)
+    image = load_backgrounds(tmp_path, size=(64, 64)).image(0, (64, 64)).float() / 255
+    assert image[0, :28].mean() > 0.9 and image[2, :28].mean() < 0.1  # red half is now on top
+    assert image[2, 36:].mean() > 0.9
+
+
+def test_grey_palette_alpha_and_16_bit(tmp_path):
+    Image.new("L", (8, 8), 100).save(tmp_path / "a.png")
+    Image.new("P", (8, 8), 0).save(tmp_path / "b.png")
+    Image.new("RGBA", (8, 8), (255, 0, 0, 0)).save(tmp_path / "c.png")
+    Image.fromarray(np.full((8, 8), 100 * 257, np.uint16)).save(tmp_path / "d.png")
+    backgrounds = load_backgrounds(tmp_path, size=(8, 8))
+    means = [int(backgrounds.image(i, (8, 8)).float().mean()) for i in range(4)]
+    assert means[0] == 100 and means[2] == 255 and abs(means[3] - 100) <= 1
+
+
+def test_damaged_files_are_named_and_skipped(tmp_path, caplog):
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3))
+    _save(tmp_path / "good.png", noise)
+    _save(tmp_path / "whole.jpg", noise)
+    whole = (tmp_path / "whole.jpg").read_bytes()
+    (tmp_path / "truncated.jpg").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "text.webp").write_text("this is no image")
+    (tmp_path / "folder.png").mkdir()
+    with caplog.at_level(logging.WARNING, logger="cloak"):
+        backgrounds = load_backgrounds(tmp_path)
+    assert backgrounds.names == ("good.png", "whole.jpg")
+    for name in ("truncated.jpg", "empty.png", "text.webp", "folder.png"):
+        assert sum(name in r.message for r in caplog.records) == 1
+
+
+def test_bad_folders_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        load_backgrounds(tmp_path / "missing")
+    with pytest.raises(InputError, match="no jpg, png or webp"):
+        load_backgrounds(tmp_path)
+    (tmp_path / "bad.jpg").write_bytes(b"\xff\xd8\xff")
+    with pytest.raises(InputError, match="none of its 1 images"):
+        load_backgrounds(tmp_path)
+    with pytest.raises(InputError, match="this is a file"):
+        load_backgrounds(tmp_path / "bad.jpg")
+
+
+def test_subsets_and_splits_keep_names_and_images():
+    backgrounds = load_backgrounds("procedural:test:6")
+    odd = backgrounds.split(2, 1)
+    assert odd.names == backgrounds.names[1::2] and len(odd) == 3
+    part = odd.subset([2, 0])
+    assert torch.equal(part.image(0, (32, 32)), backgrounds.image(5, (32, 32)))
+    assert torch.equal(part.image(-1, (32, 32)), backgrounds.image(1, (32, 32)))
+    with pytest.raises(IndexError):
+        part.image(2)
+
+
+def test_memory_stays_within_its_bound(tmp_path):
+    for i in range(8):
+        _save(tmp_path / f"{i}.png", np.full((16, 16, 3), 10 * i))
+    bound = 3 * 3 * 16 * 16
+    backgrounds = load_backgrounds(tmp_path, size=(16, 16), memory_bytes=bound)
+    for _ in range(2):
+        for i in range(8):
+            assert int(backgrounds.image(i, (16, 16)).float().mean()) == 10 * i
+            assert backgrounds._cache.bytes <= bound
+
+
+@pytest.mark.slow
+def test_procedural_is_deterministic_and_its_sets_are_disjoint():
+    first, again = load_backgrounds("procedural:train:4"), load_backgrounds("procedural:train:9")
+    assert all(torch.equal(first.image(i, (64, 64)), again.image(i, (64, 64))) for i in range(4))
+    assert len(load_backgrounds("procedural")) > 100
+    others = [load_backgrounds(s) for s in ("procedural:train:4", "procedural:test:4", "procedural:train:4:1")]
+    images = torch.cat([b.batch(range(4), 64, 64) for b in others]).flatten(1)
+    names = [n for b in others for n in b.names]
+    distance = torch.cdist(images, images) + torch.eye(12) * 100
+    assert distance.min() > 1 and len(set(names)) == 12
+
+
+@pytest.mark.slow
+def test_procedural_scenes_are_varied_pictures():
+    """No black, white or flat frame among them, and the brightness of the set spreads like photographs' does."""
+    images = load_backgrounds("procedural:test:60").batch(range(60), 96, 96)
+    mean, spread = images.mean((1, 2, 3)), images.flatten(1).std(1)
+    assert mean.min() > 0.02 and mean.max() < 0.98 and mean.std() > 0.08
+    assert (spread > 0.02).all() and spread.mean() > 0.1
+
+
+@pytest.mark.parametrize(
+    "spec", ["procedural:tset", "procedural:train:x", "procedural:0", "procedural:train:1:2:3", "procedural:-3"]
+)
+def test_bad_procedural_specs_are_refused(spec):
+    with pytest.raises(InputError, match="procedural"):
+        load_backgrounds(spec)

@@ -1,0 +1,174 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.logo import area_share, load_logo, make_logo, select_box, select_region
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.logos.stamping import project_mask, project_text
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from tests.sources.bodies.solids import cube
+
+
+@pytest.fixture(scope="module")
+def samples() -> Bodies:
+    return sample_bodies()
+
+
+def test_regions_combine(samples: Bodies) -> None:
+    front = samples.regions["front"]
+    thighs = samples.regions["thighs"]
+    named = lambda text: set(select_region(samples, text).tolist())
+    assert named("thighs") == named("thighs-front") == set(np.flatnonzero(thighs & front))
+    assert named("thighs-back") == set(np.flatnonzero(thighs & ~front))
+    assert named("thighs-all") == set(np.flatnonzero(thighs)) == named("thighs-front+thighs-back")
+    assert named("chest + thighs") == named("chest") | named("thighs")
+    assert named("shirt") == set(np.flatnonzero(samples.regions["shirt"])) != named("shirt-front")
+
+
+def test_a_scene_without_a_front_region_takes_the_normals() -> None:
+    body = cube(regions={"all": np.ones(6, bool)})
+    assert select_region(body, "all-front").tolist() == [5]
+    assert select_region(body, "all-back").tolist() == [0, 1, 2, 3, 4]
+
+
+def test_regions_stand_where_a_face_list_does(samples: Bodies, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert np.array_equal(load_logo(samples, "chest+thighs").face_ids, select_region(samples, "chest+thighs"))
+    with pytest.raises(InputError, match=r"hats: no such face list; region 'hats' is unknown.*chest"):
+        load_logo(samples, Path("hats"))
+    with pytest.raises(InputError, match=r"chest\.npy.*no such file"):
+        load_logo(samples, "chest.npy")
+    (tmp_path / "chest").touch()
+    with pytest.raises(InputError, match="chest: not a"):
+        load_logo(samples, "chest")
+
+
+def test_unknown_regions_name_the_known_ones(samples: Bodies) -> None:
+    with pytest.raises(InputError, match=r"'hat' is unknown.*chest.*thighs"):
+        select_region(samples, "chest+hat")
+    with pytest.raises(InputError, match="none"):
+        select_region(cube(), "chest")
+    with pytest.raises(InputError, match="'chest-left' is unknown"):
+        select_region(samples, "chest-left")
+
+
+def test_an_empty_region_is_refused() -> None:
+    with pytest.raises(InputError, match="no face"):
+        select_region(cube(regions={"nothing": np.zeros(6, bool)}), "nothing")
+
+
+@pytest.mark.parametrize(("facing", "face"), [("front", 5), ("back", 4), ("left", 1), ("right", 0)])
+def test_box_and_facing(facing: str, face: int) -> None:
+    everything = (-1.0, 2.0, -1.0, 2.0, -1.0, 2.0)
+    assert select_box(cube(), everything, facing).tolist() == [face]
+    assert len(select_box(cube(), everything)) == 6
+    assert select_box(cube(), (0.4, 0.6, 0.9, 1.1, 0.4, 0.6)).tolist() == [3]
+    with pytest.raises(InputError, match=r"box 5,6.*no face"):
+        select_box(cube(), (5.0, 6.0, 0.0, 1.0, 0.0, 1.0))
+
+
+def test_make_logo(samples: Bodies) -> None:
+    ids = select_region(samples, "chest")
+    logo = make_logo(samples, ids[::-1])
+    assert np.array_equal(logo.face_ids, ids) and logo.face_ids.dtype == np.int64
+    assert (len(logo), logo.face_count, logo.topology) == (len(ids), samples.face_count, samples.topology)
+    assert len(logo.edges) == len(logo.edge_lengths) > len(ids)
+    assert logo.edge_lengths.min() > 0
+    assert area_share(cube(), np.array([0, 3])) == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("ids", [[], [0, 0, 2], [-1, 2], [0, 6], [0.0, 1.0]])
+def test_bad_logos(ids: list) -> None:
+    with pytest.raises(InputError):
+        make_logo(cube(), np.array(ids))
+
+
+def test_a_letter_is_readable_from_the_front_and_stays_there(samples: Bodies) -> None:
+    ids = project_text(samples, "L")
+    centres = face_centres(samples)[ids]
+    assert len(ids) > 60
+    assert (face_normals(samples)[ids, 2] > 0).all() and samples.regions["front"][ids].mean() > 0.95
+    assert (np.isin(ids, np.flatnonzero(samples.regions["chest"] | samples.regions["belly"]))).mean() > 0.9
+    # The stem of an L is on the viewer's left (-x), its foot at the bottom reaches to the right (+x).
+    upper = centres[:, 1] > np.median(centres[:, 1])
+    assert centres[upper, 0].max() < 0
+    assert centres[~upper, 0].max() > 0.05
+
+
+def test_a_stamp_goes_where_it_is_told(samples: Bodies) -> None:
+    ids = project_text(samples, "O", height=0.1, center=(0.0, 1.2))
+    centres = face_centres(samples)[ids]
+    assert (np.abs(centres[:, :2] - [0, 1.2]) <= 0.055).all()
+    with pytest.raises(InputError, match="no face's centre"):
+        project_text(samples, "O", center=(3.0, 1.0))
+    with pytest.raises(InputError, match="height"):
+        project_text(samples, "O", height=-1.0)
+
+
+def wall(z: float, cells: int = 10) -> tuple[np.ndarray, np.ndarray]:
+    """A unit square of cells * cells quads, two triangles each, facing +z."""
+    grid = np.linspace(0, 1, cells + 1)
+    vertices = np.array([[x, y, z] for y in grid for x in grid])
+    corner = np.array([row * (cells + 1) + column for row in range(cells) for column in range(cells)])
+    a, b, c, d = corner, corner + 1, corner + cells + 2, corner + cells + 1
+    return vertices, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+
+
+def test_what_stands_in_front_takes_the_ink(tmp_path: Path) -> None:
+    """Two walls, the nearer one half as wide: behind it nothing is stamped."""
+    (far, far_triangles), (near, near_triangles) = wall(0.0), wall(1.0)
+    near = near * [0.5, 1, 1]
+    body = Bodies(
+        np.concatenate([far, near])[None].astype(np.float32),
+        np.concatenate([far_triangles, near_triangles + len(far)]),
+        np.concatenate([np.arange(200) // 2, 100 + np.arange(200) // 2]),
+    )
+    Image.new("L", (8, 8), 0).save(tmp_path / "ink.png")
+    ids = project_mask(body, tmp_path / "ink.png", height=1.0, center=(0.5, 0.5))
+    column = ids[ids < 100] % 10
+    assert (ids >= 100).sum() == 100
+    assert sorted(set(column.tolist())) == [5, 6, 7, 8, 9] and len(column) == 50
+
+
+def picture(path: Path, dark: bool, transparent: bool) -> Path:
+    """A filled right half: of dark ink on white, or opaque (light) on nothing."""
+    pixels = np.full((40, 40, 4), 255, np.uint8)
+    if transparent:
+        pixels[:, :20, 3] = 0
+    if dark:
+        pixels[:, 20:, :3] = 30
+    Image.fromarray(pixels).save(path)
+    return path
+
+
+@pytest.mark.parametrize(("dark", "transparent"), [(True, False), (False, True), (True, True)])
+def test_ink_is_what_is_dark_or_what_is_opaque(tmp_path: Path, dark: bool, transparent: bool) -> None:
+    vertices, triangles = wall(0.0)
+    body = Bodies(vertices[None].astype(np.float32), triangles, np.arange(200) // 2)
+    path = picture(tmp_path / "half.png", dark, transparent)
+    ids = project_mask(body, path, height=1.0, center=(0.75, 0.5))  # ink is 20 wide and 40 high
+    assert len(ids) == 50 and (ids % 10 >= 5).all()
+
+
+def test_pictures_that_cannot_be_stamped(tmp_path: Path, samples: Bodies) -> None:
+    Image.new("L", (8, 8), 255).save(tmp_path / "white.png")
+    (tmp_path / "broken.png").write_bytes((tmp_path / "white.png").read_bytes()[:40])
+    (tmp_path / "text.png").write_text("hello")
+    for name, says in (
+        ("white", "no ink"),
+        ("broken", "not a readable"),
+        ("text", "not a readable"),
+        ("gone", "no such"),
+    ):
+        with pytest.raises(InputError, match=rf"{name}\.png.*{says}"):
+            project_mask(samples, tmp_path / f"{name}.png")
+
+
+@pytest.mark.parametrize("text", ["", "   ", "x" * 33])
+def test_texts_that_cannot_be_stamped(samples: Bodies, text: str) -> None:
+    with pytest.raises(InputError, match="text"):
+        project_text(samples, text)

@@ -1,0 +1,138 @@
+import numpy as np
+import pytest
+
+from cloak_core.core.geometry import (
+    face_areas,
+    face_centres,
+    face_normals,
+    inner_edges,
+    outward_parts,
+)
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from tests.sources.bodies.solids import CUBE, cube, is_closed, polygons, sphere
+
+
+def test_areas_normals_and_centres_of_a_cube() -> None:
+    body = cube()
+    assert np.allclose(face_areas(body), 1)
+    outwards = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
+    assert np.allclose(face_normals(body), outwards)
+    assert np.allclose(face_centres(body), 0.5 + outwards / 2)
+
+
+def test_areas_are_the_poses_own() -> None:
+    body = cube()
+    both = Bodies(np.concatenate([body.vertices, 2 * body.vertices]), body.triangles, body.triangle_face)
+    assert np.allclose(face_areas(both, pose=1), 4)
+
+
+def test_a_face_without_area_has_no_normal_but_a_centre() -> None:
+    body = polygons(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), [[0, 1, 2]])
+    assert np.array_equal(face_normals(body), np.zeros((1, 3)))
+    assert np.allclose(face_centres(body), [[1, 0, 0]])
+
+
+def test_closed_and_outward() -> None:
+    body = cube()
+    assert is_closed(body.triangles)
+    assert outward_parts(body).all()
+    inside_out = Bodies(body.vertices, body.triangles[:, ::-1])
+    assert is_closed(inside_out.triangles)
+    assert not outward_parts(inside_out).any()
+
+
+def test_one_of_two_surfaces_inside_out_is_found() -> None:
+    body = cube()
+    two = Bodies(
+        np.concatenate([body.vertices, body.vertices + 10], axis=1),
+        np.concatenate([body.triangles, body.triangles[:, ::-1] + 8]),
+    )
+    assert is_closed(two.triangles)
+    assert not outward_parts(two).all()
+
+
+@pytest.mark.parametrize("damage", ["hole", "flip", "double", "needle"])
+def test_damaged_surfaces_are_not_closed(damage: str) -> None:
+    triangles = sphere(5, 3).triangles.copy()
+    if damage == "hole":
+        triangles = triangles[1:]
+    elif damage == "flip":
+        triangles[4] = triangles[4, ::-1]
+    elif damage == "double":
+        triangles = np.concatenate([triangles, triangles[:1]])
+    else:
+        triangles[2, 1] = triangles[2, 0]
+    assert not is_closed(triangles)
+
+
+def test_nothing_is_not_closed() -> None:
+    assert not is_closed(np.zeros((0, 3), np.int32))
+
+
+def test_inner_edges_of_three_sides_of_a_cube() -> None:
+    # -x, +x and +z: the two edges of +z with the others; -x and +x do not touch.
+    pairs, lengths = inner_edges(cube(), np.array([0, 1, 5]))
+    assert sorted(map(tuple, pairs.tolist())) == [(0, 2), (1, 2)]
+    assert np.allclose(lengths, 1)
+
+
+def test_inner_edges_in_metres_of_the_first_pose() -> None:
+    body = cube()
+    stretched = Bodies(
+        np.concatenate([body.vertices * [1, 3, 1], body.vertices]),
+        body.triangles,
+        body.triangle_face,
+        loop_total=body.loop_total,
+        loop_vertices=body.loop_vertices,
+    )
+    _, lengths = inner_edges(stretched, np.array([0, 5]))
+    assert np.allclose(lengths, 3)
+
+
+def test_inner_edges_against_brute_force() -> None:
+    body = sample_bodies("unseen")
+    ids = np.flatnonzero(body.regions["hands"])
+    pairs, lengths = inner_edges(body, ids)
+    quads = body.loop_vertices.reshape(-1, 4)[ids]
+    owners: dict[frozenset, list[int]] = {}
+    for face, quad in enumerate(quads.tolist()):
+        for a, b in zip(quad, quad[1:] + quad[:1], strict=True):
+            owners.setdefault(frozenset((a, b)), []).append(face)
+    expected = {(*two, edge) for edge, two in owners.items() if len(two) == 2}
+    assert len(pairs) == len(expected)
+    assert {tuple(pair) for pair in pairs.tolist()} == {(a, b) for a, b, _ in expected}
+    total = sum(np.linalg.norm(np.subtract(*body.vertices[0][list(edge)].astype(float))) for *_, edge in expected)
+    assert lengths.sum() == pytest.approx(total)
+
+
+def test_scenes_without_loops_have_no_edge_inside_a_polygon() -> None:
+    body = cube()
+    bare = Bodies(body.vertices, body.triangles, body.triangle_face)
+    pairs, _ = inner_edges(bare, np.arange(6))
+    assert len(pairs) == 12 and (pairs[:, 0] < pairs[:, 1]).all()
+
+
+def test_an_edge_of_three_faces_joins_each_two() -> None:
+    fins = polygons(
+        np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1]]), [[0, 1, 2], [0, 1, 3], [0, 1, 4]]
+    )
+    pairs, _ = inner_edges(fins, np.arange(3))
+    assert sorted(map(tuple, pairs.tolist())) == [(0, 1), (0, 2), (1, 2)]
+
+
+def test_a_single_face_has_no_inner_edge() -> None:
+    pairs, lengths = inner_edges(cube(), np.array([2]))
+    assert pairs.shape == (0, 2) and lengths.shape == (0,)
+    assert len(CUBE) == 8
+
+
+def test_each_part_drops_its_own_backs() -> None:
+    """A cube, one inside out, one with a hole, and a needle."""
+    body, count = cube(), len(cube().triangles)
+    shift = lambda n: body.vertices + 10 * n
+    needle = np.array([[24, 24, 25]], body.triangles.dtype)
+    triangles = [body.triangles, body.triangles[:, ::-1] + 8, body.triangles[1:] + 16, needle]
+    parts = Bodies(np.concatenate([shift(0), shift(1), shift(2), shift(3)[:, :2]], 1), np.concatenate(triangles))
+    assert outward_parts(parts)[0].nonzero()[0].tolist() == list(range(count))
+    assert outward_parts(parts.select_poses([0, 0])).sum() == 2 * count

@@ -1,0 +1,71 @@
+"""`SPEC[SELECTION]` takes some bodies of a scene and some images of a folder."""
+
+import numpy as np
+import pytest
+
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.sources.bodies.selection import select, split_selection
+
+NAMES = ("standing 1", "standing 2", "walking 1", "waving 1", "running 1")
+
+
+@pytest.mark.parametrize(
+    ("selection", "picked"),
+    [
+        ("0:2", [0, 1]),
+        ("1::2", [1, 3]),
+        ("::-1", [4, 3, 2, 1, 0]),
+        ("3", [3]),
+        ("-1,0", [4, 0]),
+        ("wa*", [2, 3]),
+        ("standing 2, running*", [1, 4]),
+        (":", [0, 1, 2, 3, 4]),
+    ],
+)
+def test_what_is_picked(selection: str, picked: list[int]) -> None:
+    assert select(selection, NAMES, "scene") == picked
+
+
+@pytest.mark.parametrize(
+    ("selection", "words"),
+    [
+        ("5", "no number 5"),
+        ("5:", "picks none of 5"),
+        ("flying*", "'flying\\*' picks none of 5"),
+        ("0:3,2", "picks 'walking 1' twice"),
+        ("::0", "step of 0"),
+        ("", "picks none"),
+    ],
+)
+def test_a_bad_selection_is_one_line_that_names_it(selection: str, words: str) -> None:
+    with pytest.raises(InputError, match=rf"body\.npz: .*{words}"):
+        select(selection, NAMES, "body.npz")
+
+
+def test_some_bodies_of_a_scene() -> None:
+    everything = sample_bodies("train")
+    some = load_scene("sample:train[walking*]")
+    walking = [i for i, name in enumerate(everything.names) if name.startswith("walking")]
+    assert 0 < len(walking) < everything.pose_count
+    assert np.array_equal(some.vertices, everything.vertices[walking])
+    assert some.topology == everything.topology
+    assert load_scene("sample[0:3]").pose_count == 3
+
+
+def test_some_backgrounds() -> None:
+    whole, odd = load_backgrounds("procedural:test:6:2"), load_backgrounds("procedural:test:6:2[1::2]")
+    assert odd.identities() == whole.identities()[1::2]
+
+
+def test_a_file_that_is_called_so_is_taken_by_its_name(tmp_path) -> None:
+    (tmp_path / "body[1]").mkdir()
+    assert split_selection(str(tmp_path / "body[1]"))[1] is None
+    assert split_selection(str(tmp_path / "body[2]")) == (str(tmp_path / "body"), "2")
+
+
+def test_a_selection_longer_than_a_file_name_is_one():
+    names = ",".join(f"photograph{number:05}.jpg" for number in range(60))
+    assert split_selection(f"people.json[{names}]") == ("people.json", names)

@@ -1,0 +1,144 @@
+"""Fits of a made person of whom everything is known: faces lie where they truly are."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.paint import compose
+from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.fitting import Fitter
+from cloak_core.sources.photographs.people import load_people
+from cloak_core.sources.photographs.rig import ANNY, body_rig, faces_on_rig
+from cloak_core.sources.photographs.views import (
+    Framing,
+    Looseness,
+    framing_of,
+    logo_positions,
+    photograph_view,
+    shares_of,
+)
+from tests.sources.photographs.made_people import annotation, photograph, standing, write_people
+
+pytestmark = pytest.mark.slow
+
+
+def person_of(folder, posed, kind="blazepose"):
+    folder.mkdir(exist_ok=True)
+    record, triangle = annotation(posed, kind=kind)
+    photograph(triangle >= 0).save(folder / "made.png")
+    height, width = triangle.shape
+    images = [{"id": 1, "file_name": "made.png", "width": width, "height": height}]
+    (folder / "p.json").write_text(json.dumps({"images": images, "annotations": [record]}))
+    (person,) = load_people(folder / "p.json").people
+    return person, triangle
+
+
+POSES = {"front": (0, 0), "side": (80, 0), "back": (180, 0), "walking": (40, 20)}
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_faces_lie_where_they_truly_are(tmp_path, pose):
+    person, triangle = person_of(tmp_path, standing(*POSES[pose]))
+    fit, rig = Fitter().fit(person), body_rig()
+    assert fit.quality["landmark_px"] < 0.5 and fit.quality["covered"] > 0.9
+    centre = rig.vertices[rig.triangles].mean(axis=1)
+    truth = triangle[triangle.shape[0] - person.mask.shape[0] :, :].ravel()[fit.pixels]
+    away = np.linalg.norm(fit.rest - centre[truth], axis=1)
+    # Half of the pixels within a face or two, nine in ten within a hand's breadth.
+    assert np.median(away) < 0.04 and np.quantile(away, 0.9) < 0.12
+
+
+def test_without_depth_the_front_is_fitted_as_well(tmp_path):
+    person, triangle = person_of(tmp_path, standing(0, 0), "coco")
+    fit, rig = Fitter().fit(person), body_rig()
+    centre = rig.vertices[rig.triangles].mean(axis=1)
+    away = np.linalg.norm(fit.rest - centre[triangle.ravel()[fit.pixels]], axis=1)
+    assert np.median(away) < 0.05
+
+
+def test_fits_come_back_from_the_cache_with_the_same_bits(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "cache"))
+    people = load_people(write_people(tmp_path / "people", 1))
+    first, again = fit_people(people)[0], fit_people(people)[0]
+    assert first.identity == again.identity and np.array_equal(first.rest, again.rest)
+
+
+@pytest.mark.parametrize("scene", ["sample", "sample-clothed:unseen"])
+def test_every_clothed_face_of_a_known_topology_is_somewhere_on_the_rig(scene):
+    bodies = load_scene(scene)
+    face = faces_on_rig(bodies.topology)
+    shirt = np.flatnonzero(bodies.regions["shirt"])
+    assert face.max() < bodies.face_count and np.isin(shirt, face).all()
+
+
+def test_annys_faces_are_the_halves_of_the_quads():
+    face = faces_on_rig(ANNY)
+    assert len(np.unique(face)) == len(face) == 26972 and face.max() == 27419
+
+
+def test_another_topology_is_refused():
+    with pytest.raises(InputError, match="people in photographs wear logos of"):
+        faces_on_rig("0" * 64)
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    person, _ = person_of(tmp_path_factory.mktemp("fitted"), standing(20, 5))
+    return Fitter().fit(person)
+
+
+def dressed_image(fit, framing, color, looseness=None):
+    bodies = load_scene("sample")
+    ids = np.flatnonzero(bodies.regions["shirt"] | bodies.regions["trousers"]).astype(np.int64)
+    shares = shares_of(fit, logo_positions(bodies.topology, ids), len(ids), looseness)
+    view = photograph_view(fit, shares, framing, looseness)
+    colors = torch.full((len(ids), 3), color)
+    return compose([view], colors, torch.zeros(1, 3, framing.size, framing.size))[0].numpy(), view, shares
+
+
+def test_pixels_off_the_clothes_are_the_photographs(fitted):
+    height, width = fitted.person.mask.shape
+    framing = Framing(0.0, 0.0, float(min(height, width)), min(height, width))
+    image, _, shares = dressed_image(fitted, framing, 0.5)
+    side = framing.size
+    photo = fitted.person.image[:side, :side].transpose(2, 0, 1) / 255
+    bare = np.ones(height * width, bool)
+    bare[fitted.pixels[np.asarray(shares.sum(axis=1)).ravel() > 0]] = False
+    bare = bare.reshape(height, width)[:side, :side]
+    assert np.abs(image - photo)[:, bare].max() < 1e-5
+    assert np.abs(image - photo)[:, ~bare].mean() > 0.02
+
+
+def test_a_view_is_linear_in_the_colours(fitted):
+    framing = framing_of(fitted, size=96)
+    low, middle, high = (dressed_image(fitted, framing, color)[0] for color in (0.1, 0.2, 0.3))
+    assert np.abs((low + high) / 2 - middle).max() < 1e-5
+
+
+def test_mirroring_mirrors_image_and_box(fitted):
+    framing = framing_of(fitted, size=96)
+    image, view, _ = dressed_image(fitted, framing, 0.4)
+    turned = Framing(framing.x, framing.y, framing.side, framing.size, mirror=True)
+    mirrored, other, _ = dressed_image(fitted, turned, 0.4)
+    assert np.abs(image[:, :, ::-1] - mirrored).max() < 1e-5
+    x0, _, x1, _ = view.box
+    assert other.box[0] == pytest.approx(96 - x1) and other.box[2] == pytest.approx(96 - x0)
+
+
+def test_beyond_the_photograph_is_grey(fitted):
+    height, width = fitted.person.mask.shape
+    image, _, _ = dressed_image(fitted, Framing(-50.0, -50.0, 100.0 + max(height, width), 64), 0.4)
+    assert np.allclose(image[:, :5, :5], 0.5, atol=1e-6)
+
+
+def test_looseness_moves_faces_and_never_leaves_the_clothes(fitted):
+    framing = framing_of(fitted, size=96)
+    _, tight, shares = dressed_image(fitted, framing, 0.4)
+    _, loose, moved = dressed_image(fitted, framing, 0.4, Looseness(move=(0.05, 0.0)))
+    assert (shares != moved).nnz > 100
+    assert tight.box == loose.box
+    assert (np.asarray(moved.sum(axis=1)).ravel() <= 1 + 1e-6).all()

@@ -1,0 +1,172 @@
+"""Reading people: every way a COCO file writes a mask, who is left out, and bad input in one line."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cloak_core.files.errors import InputError
+from cloak_core.sources.photographs.masks import decode_mask
+from cloak_core.sources.photographs.people import load_people
+from tests.sources.photographs.made_people import SIZE, photograph, write_people
+
+pytestmark = pytest.mark.slow
+
+
+def edit(path, change):
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+    return path
+
+
+def test_run_lengths_go_by_column_and_begin_with_zeros():
+    mask = decode_mask({"size": [2, 3], "counts": [1, 2, 3]}, 2, 3, "it")
+    assert mask.tolist() == [[False, True, False], [True, False, False]]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_packed_run_lengths_are_pycocotools(seed):
+    tools = pytest.importorskip("pycocotools.mask")
+    mask = np.random.default_rng(seed).random((37, 53)) < (0.5 if seed else 0.01)
+    packed = tools.encode(np.asfortranarray(mask.astype(np.uint8)))
+    decoded = decode_mask({"size": [37, 53], "counts": packed["counts"].decode()}, 37, 53, "it")
+    assert (decoded == mask).all()
+
+
+def test_polygons_fill_what_they_enclose():
+    mask = decode_mask([[2, 2, 8, 2, 8, 6, 2, 6]], 10, 12, "it")
+    assert mask[2:7, 2:9].all() and mask.sum() == 35
+
+
+def test_people_are_read_with_their_landmarks(tmp_path):
+    people = load_people(write_people(tmp_path))
+    assert len(people) == 2 and people.photographs == ("made0.png", "made1.png") and not people.left_out
+    person = people.people[0]
+    assert person.mask.shape == person.image.shape[:2]
+    x0, y0, x1, y1 = person.box
+    assert person.mask[int(y0) : int(y1), int(x0) : int(x1)].sum() == person.mask.sum()
+
+
+def test_a_selection_takes_photographs(tmp_path):
+    path = write_people(tmp_path, 3)
+    assert load_people(f"{path}[1::2]").photographs == ("made1.png",)
+
+
+def test_photographs_may_lie_in_a_folder_of_their_own(tmp_path):
+    path = write_people(tmp_path)
+    for k in range(2):
+        (tmp_path / "images").mkdir(exist_ok=True)
+        (tmp_path / f"made{k}.png").rename(tmp_path / "images" / f"made{k}.png")
+    assert len(load_people(path)) == 2
+    (tmp_path / "images").rename(tmp_path / "elsewhere")
+    assert len(load_people(path, tmp_path / "elsewhere")) == 2
+
+
+LEFT_OUT = {
+    "crowd": lambda a: a.update(iscrowd=1),
+    "no mask": lambda a: a.pop("segmentation"),
+    "no landmarks": lambda a: a.pop("blazepose"),
+    "hidden": lambda a: a["blazepose"].update(visibility=[0.1] * 33),
+    "small": lambda a: a.update(bbox=[100, 100, 20, 50]),
+    "cut": lambda a: a["blazepose"]["xy"].__setitem__(55, 400.0),
+}
+
+
+@pytest.mark.parametrize("reason", LEFT_OUT)
+def test_who_cannot_be_dressed_is_counted_by_reason(tmp_path, reason):
+    path = edit(write_people(tmp_path), lambda record: LEFT_OUT[reason](record["annotations"][1]))
+    people = load_people(path)
+    assert len(people) == 1 and people.left_out == {reason: 1}
+
+
+def test_someone_who_sits_is_left_out(tmp_path):
+    def sit(record):
+        xy = np.array(record["annotations"][1]["blazepose"]["xy"]).reshape(33, 2)
+        xy[[25, 26]] = xy[[23, 24]] + [0, 5]
+        record["annotations"][1]["blazepose"]["xy"] = xy.ravel().tolist()
+
+    assert load_people(edit(write_people(tmp_path), sit)).left_out == {"sitting": 1}
+
+
+BROKEN = {
+    "run lengths add up to": lambda a: a["segmentation"]["counts"].append(7),
+    "broken run lengths": lambda a: a["segmentation"].update(counts="\x7f\x7f"),
+    "its mask has size": lambda a: a["segmentation"].update(size=[5, 5]),
+    "a polygon lies outside": lambda a: a.update(segmentation=[[0, 0, 900, 0, 900, 900]]),
+    "a list of at least three": lambda a: a.update(segmentation=[[0, 0, 9, 9]]),
+    "neither polygons nor run lengths": lambda a: a.update(segmentation="mask.png"),
+    "33 landmarks have 66": lambda a: a["blazepose"].update(xy=[1.0] * 34),
+    "not a list of numbers": lambda a: a["blazepose"].update(xy=["left"] * 66),
+    "bbox lies outside": lambda a: a.update(bbox=[0, 0, 4000, 10]),
+}
+
+
+@pytest.mark.parametrize("words", BROKEN)
+def test_broken_annotations_are_named_in_one_line(tmp_path, words):
+    path = edit(write_people(tmp_path), lambda record: BROKEN[words](record["annotations"][1]))
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
+        load_people(path)
+    assert "annotation 2 (made1.png)" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def stood_on_the_head(record):
+    xy = np.array(record["blazepose"]["xy"]).reshape(33, 2)
+    order = [*range(11), 27, 28, *range(13, 23), 25, 26, 23, 24, 11, 12, *range(29, 33)]
+    record["blazepose"]["xy"] = xy[order].ravel().tolist()
+
+
+def test_one_person_upside_down_is_left_out(tmp_path):
+    path = edit(write_people(tmp_path), lambda record: stood_on_the_head(record["annotations"][1]))
+    assert load_people(path).left_out == {"not upright": 1}
+
+
+def test_keypoints_of_another_order_are_refused(tmp_path):
+    path = edit(write_people(tmp_path, 3), lambda record: [stood_on_the_head(a) for a in record["annotations"][1:]])
+    with pytest.raises(InputError, match=r"annotation 2 \(made1.png\): keypoints of another order\?.*2 of 3 people"):
+        load_people(path)
+
+
+def test_coco_keypoints_of_another_count_are_refused(tmp_path):
+    path = edit(write_people(tmp_path, kind="coco"), lambda r: r["annotations"][0].update(keypoints=[1, 2, 2] * 18))
+    with pytest.raises(InputError, match="54 numbers of keypoints, COCO has 17"):
+        load_people(path)
+
+
+def test_a_missing_photograph_is_named(tmp_path):
+    path = write_people(tmp_path)
+    (tmp_path / "made1.png").unlink()
+    with pytest.raises(InputError, match=r"image 2 \(made1.png\): no such photograph"):
+        load_people(path)
+
+
+def test_a_file_name_does_not_lead_out_of_the_folder(tmp_path):
+    path = edit(write_people(tmp_path), lambda record: record["images"][0].update(file_name="../made0.png"))
+    with pytest.raises(InputError, match="leads out"):
+        load_people(path)
+
+
+def test_a_photograph_that_exif_turns_is_named(tmp_path):
+    path = write_people(tmp_path)
+    exif = Image.Exif()
+    exif[274] = 6
+    photograph().save(tmp_path / "turned.jpg", exif=exif)
+    edit(path, lambda record: record["images"][1].update(file_name="turned.jpg"))
+    with pytest.raises(InputError, match=rf"image 2 \(turned.jpg\).*annotated as {SIZE[1]} x {SIZE[0]}.*EXIF"):
+        load_people(path)
+
+
+@pytest.mark.parametrize("content", ['{"images": []}', "[]", '{"images": 3, "annotations": []}'])
+def test_another_file_is_refused(tmp_path, content):
+    path = tmp_path / "people.json"
+    path.write_text(content)
+    with pytest.raises(InputError, match="people"):
+        load_people(path)
+
+
+def test_nobody_to_dress_is_said_with_the_reasons(tmp_path):
+    path = edit(write_people(tmp_path, 1), lambda record: record["annotations"][0].update(iscrowd=1))
+    with pytest.raises(InputError, match=r"nobody in it can be dressed \(crowd 1\)"):
+        load_people(path)

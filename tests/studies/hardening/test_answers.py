@@ -1,0 +1,58 @@
+"""The loss by which torchvision's and ultralytics' networks learn from what they were."""
+
+import math
+
+import pytest
+import torch
+
+from cloak_core.studies.hardening.answers import Answer, Reading, answer_distance
+
+KINDS = [Reading(softmax=True, person=1), Reading(softmax=False, person=1)]
+
+
+def answer(reading: Reading, seed: int) -> Answer:
+    """Two images, five places, three classes; a box for each class where one class at most is there."""
+    generator = torch.Generator().manual_seed(seed)
+    shapes = (2, 5, 3), (2, 5, 3 if reading.softmax else 1, 4), (2, 5)
+    kinds, boxes, trust = (2 * torch.randn(shape, generator=generator) for shape in shapes)
+    return Answer(kinds, boxes, None if reading.softmax else trust)
+
+
+@pytest.mark.parametrize("reading", KINDS)
+def test_equal_answers_are_no_distance_apart_and_others_are(reading: Reading) -> None:
+    same, other = answer(reading, 0), answer(reading, 1)
+    assert torch.equal(answer_distance(same, same, reading), torch.zeros(2))
+    assert float(answer_distance(other, same, reading).min()) > 1
+    turned = same.of(torch.tensor([1, 0]))
+    assert torch.equal(answer_distance(turned, turned, reading), torch.zeros(2))
+    assert torch.equal(turned.boxes[0], same.boxes[1])
+
+
+@pytest.mark.parametrize("reading", KINDS)
+@pytest.mark.parametrize("part", range(3))
+def test_every_part_of_the_answer_counts(reading: Reading, part: int) -> None:
+    wanted = answer(reading, 0)
+    if wanted[part] is None:
+        pytest.skip("this kind has none")
+    changed = list(wanted)
+    changed[part] = changed[part] * 0.5
+    assert float(answer_distance(Answer(*changed), wanted, reading).min()) > 0.1
+
+
+@pytest.mark.parametrize("reading", KINDS)
+def test_a_reported_person_is_to_be_surer_where_asked_and_nothing_else(reading: Reading) -> None:
+    kinds = torch.full((2, 2, 3), -8.0)
+    kinds[:, 0, 1] = 0.5 if not reading.softmax else -8 + math.log(2 * 1.7)  # probability about 0.63: reported
+    kinds[:, 1, 0] = 8.0 if reading.softmax else -8.0  # nothing there
+    kinds.requires_grad_()
+    said = Answer(kinds, torch.zeros(2, 2, 1, 4))
+    each = answer_distance(said, Answer(kinds.detach(), said.boxes), reading, torch.tensor([True, False]), 0.9)
+    (gradient,) = torch.autograd.grad(each.sum(), kinds)
+    assert float(gradient[0, 0, 1]) < -0.1
+    assert float(gradient[0, 1].abs().max()) < 1e-5 and float(gradient[1].abs().max()) < 1e-5
+    goal = kinds.detach().clone()
+    goal[0, 0, 1] = math.log(9) + (goal[0, 0, [0, 2]].logsumexp(0) if reading.softmax else 0.0)  # probability 0.9
+    met = answer_distance(
+        said._replace(kinds=goal), Answer(kinds.detach(), said.boxes), reading, torch.tensor([True, False]), 0.9
+    )
+    assert float(met.abs().max()) < 1e-5

@@ -1,0 +1,93 @@
+"""Frames from Blender's Cycles: under the matching light they are ours; shifts, colours and what is kept."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.logo import make_logo, select_region
+from cloak_core.files.errors import InputError
+from cloak_core.library import evaluate
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.studies import cycles
+from cloak_core.studies.cloaked import Cloaked
+from cloak_core.studies.cycles import CyclesRenderer, NoBlender, image_difference, render_frames, require_blender
+from cloak_core.studies.evaluate import make_renderer
+
+
+@pytest.fixture(scope="module")
+def renderer() -> BodyRenderer:
+    bodies = sample_bodies("unseen").select_poses([0])
+    logo = make_logo(bodies, select_region(bodies, "chest+thighs"))
+    colors = np.random.default_rng(0).uniform(0.2, 0.8, (len(logo), 3)).astype(np.float32)
+    settings = EvaluateSettings(images_per_view=2, size=96, shift=9)
+    made = make_renderer(Cloaked(colors, logo, bodies, load_backgrounds("procedural:test:2")), (20.0,), settings)
+    made.trials["outfit"] = 0
+    return made
+
+
+@pytest.mark.long
+def test_matching_light_gives_our_images_and_natural_light_does_not(
+    renderer: BodyRenderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = []
+    frames = render_frames(renderer, ("logo", "clothing"), tmp_path, 8, said.append)
+    assert len(said) == 3 * 2
+    difference = {light: image_difference(renderer, CyclesRenderer(renderer, frames, light)) for light in cycles.LIGHTS}
+    # What is left is the highlight, and noise at the silhouette.
+    assert difference["matching"]["rms"] < 0.04
+    assert min(difference[light]["rms"] for light in ("studio", "sky")) > 2 * difference["matching"]["rms"]
+    # Before backgrounds, moved: the body is where ours is.
+    matching = CyclesRenderer(renderer, frames, "matching")
+    ours, theirs = (render_images(s, [0, 1], "logo") for s in (renderer, matching))
+    assert (ours - theirs).abs().mean() < 0.005
+    assert renderer.shifts([0]).any()
+    # Nothing is rendered twice.
+    monkeypatch.setattr(cycles, "_run", lambda *_: pytest.fail("rendered again"))
+    assert render_frames(renderer, ("logo", "clothing"), tmp_path, 8, said.append) == frames
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-4, 5), (20, 0)])
+def test_shifted(shift: tuple[int, int]) -> None:
+    body = torch.rand(4, 8, 8)
+    moved = cycles._shifted(body, *shift)
+    for y in range(8):
+        for x in range(8):
+            u, v = x - shift[0], y - shift[1]
+            expected = body[:, v, u] if 0 <= u < 8 and 0 <= v < 8 else torch.zeros(4)
+            assert torch.equal(moved[:, y, x], expected)
+
+
+def test_without_blender_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cycles, "find_bpy", lambda: None)
+    with pytest.raises(NoBlender, match=r"^Cycles: needs Blender's Python package .*setup_blender"):
+        require_blender()
+
+
+@pytest.mark.long
+def test_an_evaluation_in_cycles_is_ours_in_the_matching_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {"size": 96, "shift": 4, "images_per_view": 2, "controls": ("grey",), "bare": 1, "resamples": 100}
+    asked = ("zoo:builtin-sample", "sample:unseen[0]", "procedural:test:2")
+    monkeypatch.setattr(cycles, "SAMPLES", 4)
+    told: list[tuple[int, int]] = []
+    found = {
+        light: evaluate(*asked, out=tmp_path / str(light), angles=[10.0], cycles=light, on_progress=progress, **few)
+        for light, progress in ((None, None), ("matching", lambda *counts: told.append(counts)))
+    }
+    assert told[:3] == [(1, 3), (2, 3), (3, 3)]
+    scores = [summary["detectors"]["builtin"]["clothing"]["mean_score"] for summary in found.values()]
+    assert scores[0] == pytest.approx(scores[1], abs=0.05)
+    assert found["matching"]["settings"]["cycles"] == "matching"
+    monkeypatch.setattr(cycles, "_run", lambda *_: pytest.fail("rendered again"))
+    evaluate(*asked, out=tmp_path / "again", angles=[10.0], cycles="matching", **few)
+
+
+def test_what_cycles_cannot_show_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="one distance and one elevation"):
+        EvaluateSettings(cycles="sky", elevations=(0.0, 10.0))
+    with pytest.raises(InputError, match="--over-time"):
+        evaluate("zoo:builtin-sample", over_time=True, cycles="sky", out=tmp_path / "x")

@@ -1,0 +1,109 @@
+"""Intervals: degenerate cases are honest, and the stated coverage is what simulation finds."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cloak_core.core.evaluation.intervals import bootstrap_interval, cells, clustered_rate, wilson
+
+
+def test_wilson_against_scipy() -> None:
+    expected = stats.binomtest(18, 20).proportion_ci(method="wilson")
+    assert wilson(0.9, 20) == pytest.approx((expected.low, expected.high), rel=1e-9)
+
+
+def test_all_successes_are_not_certain() -> None:
+    """3 bodies x 4 backgrounds x 10 angles without a miss: a third of all people may still never be hidden."""
+    body, background, _ = (a.ravel() for a in np.meshgrid(range(3), range(4), range(10)))
+    rate = clustered_rate(np.ones(120, bool), body, background)
+    assert (rate.value, rate.high, rate.n) == (1.0, 1.0, 120)
+    assert rate.low == pytest.approx(0.05 ** (1 / 3)) and rate.low < wilson(1.0, 12)[0]
+
+
+def test_labels_may_be_anything_and_the_seed_decides() -> None:
+    rng = np.random.default_rng(1)
+    body, background = rng.integers(0, 5, 300), rng.integers(0, 20, 300)
+    hits = rng.random(300) < np.array([0.2, 0.9, 0.7, 0.8, 0.4])[body]
+    rate = clustered_rate(hits, body, background)
+    assert rate.value == pytest.approx(hits.mean())
+    assert rate.low < rate.value < rate.high
+    assert clustered_rate(hits, body * 7 - 3, background + 1000) == rate
+    assert clustered_rate(hits, body, background, seed=1) != rate
+
+
+def test_no_image_and_one_body() -> None:
+    assert math.isnan(clustered_rate(np.zeros(0, bool), np.zeros(0, int), np.zeros(0, int)).value)
+    one = clustered_rate(np.arange(40) % 2 == 0, np.zeros(40, int), np.arange(40))
+    assert one.low == pytest.approx(wilson(0.5, 40)[0], abs=0.05)
+    single = clustered_rate(np.ones(1, bool), np.zeros(1, int), np.zeros(1, int))
+    assert single.low < 0.3
+
+
+def crossed(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """3 bodies x 20 backgrounds x 21 angles."""
+    body, background, _ = np.meshgrid(range(3), range(20), range(21), indexing="ij")
+    return body.ravel(), background.ravel()
+
+
+def dealt(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """6 bodies, 84 images each, on 256 backgrounds that come about twice."""
+    return np.repeat(range(6), 84), np.concatenate([rng.permutation(256), rng.permutation(256)])[:504]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("design", [crossed, dealt])
+@pytest.mark.parametrize("body_sd, background_sd, mean", [(1.0, 0.5, 0.0), (1.0, 0.5, 2.5), (0.0, 1.0, 2.5)])
+def test_coverage(design: Callable, body_sd: float, background_sd: float, mean: float) -> None:
+    """The interval covers the truth in about 95 %, where a binomial one does in 20 to 60 when bodies differ."""
+    rng = np.random.default_rng(0)
+    logistic = lambda x: 1 / (1 + np.exp(-x))
+    wide = rng.normal(size=(3, 100_000)) * [[body_sd], [background_sd], [0.5]]
+    truth = logistic(mean + wide.sum(0)).mean()
+    ours = binomial = 0
+    for _ in range(200):
+        body, background = design(rng)
+        effect = body_sd * rng.normal(size=(body.max() + 1, 1)) + background_sd * rng.normal(size=background.max() + 1)
+        effect = mean + effect + 0.5 * rng.normal(size=effect.shape)
+        hits = rng.random(len(body)) < logistic(effect)[body, background]
+        rate = clustered_rate(hits, body, background, resamples=300)
+        ours += rate.low <= truth <= rate.high
+        low, high = wilson(rate.value, rate.n)
+        binomial += low <= truth <= high
+    assert ours / 200 >= 0.89
+    if body_sd:
+        assert binomial / 200 <= 0.6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed_sd, body_sd, background_sd, mean", [(1.0, 1.0, 0.5, 0.0), (1.5, 0.5, 0.5, 2.0)])
+def test_coverage_over_trainings(seed_sd: float, body_sd: float, background_sd: float, mean: float) -> None:
+    """3 trainings x 4 bodies x 12 backgrounds: a bootstrap that takes trainings for more images covers less."""
+    rng = np.random.default_rng(0)
+    wide = rng.normal(size=(4, 100_000)) * [[seed_sd], [body_sd], [background_sd], [0.3]]
+    truth = (1 / (1 + np.exp(-mean - wide.sum(0)))).mean()
+    seed, body, background = (a.ravel() for a in np.meshgrid(range(3), range(4), range(12), indexing="ij"))
+    clustered = tiled = 0
+    for _ in range(200):
+        effects = seed_sd * rng.normal(size=3)[seed] + body_sd * rng.normal(size=4)[body]
+        effects += background_sd * rng.normal(size=12)[background] + 0.3 * rng.normal(size=144)
+        hits = rng.random(144) < 1 / (1 + np.exp(-mean - effects))
+        rate = clustered_rate(hits, body, background, seed, resamples=100)
+        clustered += rate.low <= truth <= rate.high
+        low, high = bootstrap_interval(*cells(hits, [0 * seed, body, background]), 100, 0.95, rng)
+        tiled += low <= truth <= high
+    assert clustered / 200 >= 0.93
+    assert tiled < clustered - 10
+
+
+def test_trainings_that_differ_widen_the_interval_and_one_alone_does_not() -> None:
+    body, background = (a.ravel() for a in np.meshgrid(range(4), range(30), indexing="ij"))
+    hits = np.random.default_rng(0).random(120) < 0.5
+    alone = clustered_rate(hits, body, background)
+    assert clustered_rate(hits, body, background, np.zeros(120, int)) == alone
+    seeds = np.repeat([0, 1, 2], 120)
+    different = np.concatenate([hits, np.ones(120, bool), np.zeros(120, bool)])
+    rate = clustered_rate(different, np.tile(body, 3), np.tile(background, 3), seeds)
+    assert rate.high - rate.low > 1.5 * (alone.high - alone.low)

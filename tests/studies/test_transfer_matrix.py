@@ -1,0 +1,176 @@
+"""Cloaks judged by a detector that training left out: families, ablations, and how cells become a table."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloak_core.cli import load
+from cloak_core.commands import parsing
+from cloak_core.core.evaluation.settings import StoreOptions
+from cloak_core.core.logo import chest_thighs
+from cloak_core.core.settings import make_settings, merge
+from cloak_core.files.errors import InputError, Stopped
+from cloak_core.files.reading import read_json
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.sources.photographs.people import People, load_people
+from cloak_core.studies import store as store_module
+from cloak_core.studies.data_split import DataSplit
+from cloak_core.studies.store import RunStore
+from cloak_core.studies.transfer import (
+    CIRCLE,
+    FRONT,
+    LADDER,
+    PHOTOGRAPHS,
+    Matrix,
+    ablation_names,
+    ablation_settings,
+    families,
+    family_of,
+    gather,
+    kinship,
+    show,
+    summary,
+)
+from tests.sources.photographs.made_people import write_people
+from tests.studies.made_split import Glow
+
+
+@pytest.mark.parametrize(
+    ("spec", "family"),
+    [
+        ("onnx:/a/yolov8n.onnx", "yolo"),
+        ("darknet:x/yolo-fastest-1.1-xl.cfg:y.weights@320", "yolo"),
+        ("darknet:MobileNetV2-YOLOv3-Nano-coco.cfg:y.weights", "yolo"),
+        ("onnx:nanodet_m.onnx@416,conf=0.4", "nanodet"),
+        ("onnx:ssd_mobilenet_v1.onnx", "ssd"),
+        ("torchvision:fasterrcnn_resnet50_fpn", "rcnn"),
+        ("python:detectors/d2go.py:load", "rcnn"),
+        ("torchvision:ssdlite320_mobilenet_v3_large", "ssdlite"),
+        ("transformers:/models/rtdetr_r18vd", "detr"),
+    ],
+)
+def test_families_by_name(spec, family):
+    assert family_of(spec) == family
+
+
+def test_siblings_and_strangers_and_what_the_user_knows_better():
+    specs = ("onnx:yolov8n.onnx", "onnx:ssd_mobilenet_v1.onnx", "torchvision:ssdlite320_mobilenet_v3_large")
+    family = families(specs)
+    assert kinship(specs[0], specs[1:], family) == "stranger"
+    assert kinship(specs[1], specs[2:], family) == "stranger"
+    assert kinship(specs[1], specs[2:], families(specs, ["ssdlite320=ssd"])) == "sibling"
+    for words in ("ssd", "=x", "none=x", "ssd="):
+        with pytest.raises(InputError, match="--kin"):
+            families(specs, [words])
+
+
+def test_rungs_are_alone_or_in_order_and_their_settings_exist():
+    assert ablation_settings("best") == {"preset": "best"}
+    assert ablation_settings("shake") == {"preset": "best", "shake": 0.3}
+    window = {"smooth": 8, "initial": "animal", "crop": 0.15, "pad": 0.3}
+    assert ablation_settings("+window") == {"preset": "best", **window}
+    recipe, upon = merge(ablation_settings("recipe")), merge(ablation_settings("+cutout"))
+    assert {name for name in upon if recipe[name] != upon[name]} == {"preset", "steps"}
+    assert ablation_settings("recipe") == {"preset": "transfer"}
+    every = ablation_names(("ladder", "best"))
+    assert len(every) == len(set(every)) == 2 * len(LADDER) + 2
+    for name in every:
+        make_settings(**(dict(FRONT.training) | ablation_settings(name)))
+    with pytest.raises(InputError, match="--rungs: 'nothing' is not one of"):
+        ablation_names(("best", "nothing"))
+
+
+def matrix(out: Path, people: tuple[People, ...] = (), **changes: object) -> Matrix:
+    detectors = {"onnx:red.onnx": Glow("red", 0), "yolo:a": Glow("green", 1), "yolo:b": Glow("blue", 2)}
+    split = DataSplit(
+        sample_bodies("train").select_poses([0]),
+        sample_bodies("unseen").select_poses([0]),
+        load_backgrounds("procedural:train:2"),
+        load_backgrounds("procedural:test:2"),
+        detectors,
+        *people,
+    )
+    options = StoreOptions(out=out, steps=(1,), seeds=1, batch=1, images_per_view=1, size=32, samples=1)
+    specs = tuple(detectors)
+    base = {"family": families(specs), "surrogates": specs, "judges": specs, "cameras": FRONT, "logo": "chest"}
+    return Matrix(store=RunStore(split, options), faces=chest_thighs(split.bodies), **(base | changes))
+
+
+def test_surrogates_are_all_but_the_judged_network_and_if_asked_its_siblings(tmp_path):
+    whole = matrix(tmp_path)
+    assert whole.surrogates_for("yolo:a") == ("onnx:red.onnx", "yolo:b")
+    assert matrix(tmp_path, cross_family_only=True).surrogates_for("yolo:a") == ("onnx:red.onnx",)
+    detectors = whole.store.split.detectors
+    detectors["onnx:red.onnx@64"] = Glow("red too", 0)  # the same network by another name
+    assert whole.surrogates_for("onnx:red.onnx@64") == ("yolo:a", "yolo:b")
+    with pytest.raises(InputError, match="none is left to train on without yolo:a"):
+        matrix(tmp_path, surrogates=("yolo:a", "yolo:b"), cross_family_only=True).surrogates_for("yolo:a")
+
+
+@pytest.mark.long
+def test_people_in_photographs_are_trained_on_and_others_judge(tmp_path):
+    people = load_people(write_people(tmp_path / "people", 4))
+    seen, kept = people.halves()
+    assert not set(seen.photographs) & set(kept.photographs) and len(seen) + len(kept) == 4
+    of_people = matrix(tmp_path / "m", (seen, kept), judges=("yolo:a",), cameras=PHOTOGRAPHS)
+    of_people.fill(["recipe"])
+    (cell,) = gather(tmp_path / "m")
+    assert cell["n"] == len(kept) and cell["settings"] == {"preset": "photographs"} and cell["clothing"] is not None
+    (run,) = (tmp_path / "m" / "runs").iterdir()
+    assert set(read_json(run / "config.json")["people"]["photographs"]) == set(seen.photographs)
+    said = (show([cell], tmp_path / "page", "m")[-1]).read_text("utf-8")
+    assert "judged on 2 people in 2 other photographs" in said and "and on 2 people in 2 photographs" in said
+    # Other people are another training, and other images.
+    matrix(tmp_path / "m", (kept, seen), judges=("yolo:a",), cameras=PHOTOGRAPHS).fill(["recipe"])
+    assert len(list((tmp_path / "m" / "evaluations").iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
+    out = tmp_path / "m"
+    matrix(out, judges=("yolo:a",)).fill(["best"])
+    # A detector that is judged alone has the same surrogates, so the training is there already.
+    matrix(out, judges=("onnx:red.onnx",)).fill(["best"])
+    assert len(list((out / "runs").iterdir())) == 2
+    monkeypatch.setattr(store_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    matrix(out, judges=("yolo:a", "onnx:red.onnx")).fill(["best"])
+    cells = gather(out)
+    assert [cell["judged"] for cell in cells] == ["onnx:red.onnx", "yolo:a"]
+    assert cells[1]["surrogates"] == ["onnx:red.onnx", "yolo:b"] and cells[1]["kin"] == "sibling"
+    assert cells[0]["n"] == 6 and cells[0]["settings"]["angles"] == "-10:10:5"
+    told = summary(cells)
+    assert set(told["matrix"]) == {"onnx:red.onnx", "yolo:a"}
+    values = [cell["success"] for cell in cells]
+    assert told["mean"] == pytest.approx(np.mean(values), abs=1e-4) and told["worst"] == min(values)
+    with pytest.raises(Stopped, match="time budget"):
+        matrix(out, deadline=0.0).fill(["adaptive"])
+    files = show(cells, tmp_path / "docs", "table", "cloak transfer --detector onnx:/secret/place/a.onnx --out /x/y")
+    text = files[-1].read_text()
+    assert "a.onnx" in text and "secret" not in text and "| onnx red | stranger |" in text
+    assert "- yolo a: trained on onnx red, yolo b" in text
+    assert all(path.stat().st_size > 1000 for path in files[:2])
+    told = [cell | {"renamed": 0.123, "gone": 0.456} for cell in cells]
+    assert "| 12 % | 46 % |" in show(told, tmp_path / "told", "table")[-1].read_text()
+    earlier = [{key: value for key, value in cell.items() if key not in ("renamed", "gone")} for cell in cells]
+    assert "| – | – |" in show(earlier, tmp_path / "earlier", "table")[-1].read_text()
+
+
+def test_the_circle_has_its_places():
+    assert len(CIRCLE.angles) == 36 and CIRCLE.angles[0] == 0
+
+
+def test_the_command_reads_its_options():
+    words = ["--detector", "a", "--detector", "b", "--judge", "c", "--out", "x", "--rungs", "best", "+shake"]
+    command = parsing.parse(load("transfer"), "transfer", words)
+    assert (command.detector, command.judge, command.rungs) == (("a", "b"), ("c",), ("best", "+shake"))
+
+
+@pytest.mark.slow
+def test_the_command_trains_for_the_aim_it_is_told(tmp_path):
+    from cloak_core.commands.transfer import Transfer
+
+    for hide in ("person", "everything"):
+        matrix = Transfer(detector=("builtin", "builtin@160"), hide=hide, out=tmp_path / hide)._matrix()
+        assert matrix.cameras.training.get("hide", "person") == hide

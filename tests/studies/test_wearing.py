@@ -1,0 +1,244 @@
+"""Dressing made people: what is worn where, what is counted, and what is written."""
+
+import csv
+import json
+import re
+from collections import Counter
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cloak_core.commands.wear import expanded, show_worn
+from cloak_core.core.detector.protocol import Detections
+from cloak_core.core.evaluation.measure import measure
+from cloak_core.core.evaluation.renderer import EvaluationRenderer
+from cloak_core.core.evaluation.settings import WearSettings
+from cloak_core.core.view import box_of
+from cloak_core.files.errors import InputError
+from cloak_core.library import wear
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import load_people
+from cloak_core.studies.wearing.clothes import clothes_position, controls, read_clothes
+from cloak_core.studies.wearing.renderer import PeopleRenderer, dress, paint
+from cloak_core.studies.wearing.widths import WIDTHS
+from cloak_core.zoo.entry import entry
+from tests.core.fakes import RedDetector
+from tests.schemas import validate
+from tests.sources.photographs.made_people import write_people
+
+pytestmark = pytest.mark.slow
+SMALL = WearSettings(size=96, bare=2)
+
+
+class BodyDetector(RedDetector):
+    """One box over the middle of the image, the surer the less red it is there."""
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        side = images.shape[-1]
+        middle = images[..., side // 4 : side * 3 // 4, side * 2 // 5 : side * 3 // 5]
+        red = middle[:, 0].mean((1, 2)) - middle[:, 2].mean((1, 2))
+        box = torch.tensor([0.25 * side, 0.1 * side, 0.75 * side, 0.9 * side]).expand(len(images), 1, 4)
+        return Detections(box, torch.sigmoid(4 - 40 * red)[:, None])
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory):
+    return load_people(write_people(tmp_path_factory.mktemp("people"), 3))
+
+
+@pytest.fixture(scope="module")
+def red(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cloth") / "red.png"
+    Image.new("RGB", (32, 32), (230, 10, 10)).save(path)
+    return path
+
+
+def test_a_red_cloth_hides_and_controls_do_not(people, red, tmp_path):
+    out = tmp_path / "out"
+    result = wear([f"{red}@tile=0.5"], people, {"body": BodyDetector()}, out=out, settings=SMALL)
+    told = result["detectors"]["body"]
+    assert told["red@tile=0.5"]["success"] == 1.0 and told["red@tile=0.5"]["n"] == 3
+    assert {name: told[name]["success"] for name in ("clothing", "grey", "resampled")} == {
+        "clothing": 0.0,
+        "grey": 0.0,
+        "resampled": 0.0,
+    }
+    low, high = told["grey"]["ci95"]
+    assert low == 0.0 and high > 0.3
+    seen_from = told["red@tile=0.5"]["seen_from"]
+    assert sum(side["n"] for side in seen_from.values()) == 3 and seen_from["front"]["success_own"] == 1.0
+    assert result["people"] == 3 and set(result["false_alarms"]) == {"body"}
+    validate("wear", (out / "wear.json").read_text())
+    assert json.loads((out / "wear.json").read_text())["detectors"]["body"]["grey"]["n"] == 3
+    rows = list(csv.DictReader((out / "scores.csv").open()))
+    assert len(rows) == 5 * 3 and {row["clothes"] for row in rows} == set(told)
+    assert (
+        sorted(p.name for p in (out / "pictures").glob("made0*/*")) == ["after red-tile=0.5.jpg", "before.jpg"]
+        and (out / "sheet.jpg").exists()
+    )
+
+
+def test_people_in_photographs_are_views_like_any_other(people):
+    backgrounds = load_backgrounds("procedural:test:2")
+    renderer = PeopleRenderer(fit_people(people), [], backgrounds, SMALL)
+    assert isinstance(renderer, EvaluationRenderer)
+    for view in renderer.views([0, 1]):
+        assert np.allclose(box_of(view.mask), view.box, atol=2)
+    results = measure(renderer, {"body": BodyDetector()}, ("clothing", "grey"), (0, 1))
+    rows = results.rows("body", "grey")
+    assert rows["body"].tolist() == [person.name for person in people.people] and rows["angle"].isna().all()
+    assert rows["photograph"].tolist() == [person.photograph for person in people.people]
+    assert (rows["clean"] == results.scores("body", "clothing")).all() and (rows["score"] == rows["score_on"]).all()
+
+
+def test_nothing_is_left_of_what_fails(people, red, tmp_path):
+    class Failing(BodyDetector):
+        def forward(self, images):
+            raise InputError("gone")
+
+    with pytest.raises(InputError, match="gone"):
+        wear([f"{red}@tile=0.5"], people, {"body": Failing()}, out=tmp_path / "out", settings=SMALL)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_patch_lies_on_the_chest_alone(people, red):
+    fit = fit_people(people)[0]
+    patch, cloth = (read_clothes(f"{red}@{kind}").on(fit, 0)[0].sum() for kind in ("patch=0.3", "tile=0.3"))
+    assert 0.3 * (0.3 * fit.scale) ** 2 < patch < 1.1 * (0.3 * fit.scale) ** 2 and patch < 0.4 * cloth
+
+
+def test_a_pattern_of_names_is_every_picture_with_one(tmp_path):
+    for name in ("b.png", "a.png", "c.jpg"):
+        (tmp_path / name).touch()
+    assert expanded(f"{tmp_path}/*.png@tile=0.5") == [f"{tmp_path}/{name}@tile=0.5" for name in ("a.png", "b.png")]
+    as_they_are = ("zoo:transfer-people", "runs/first", f"{tmp_path}/none*.png@patch=0.3", f"{tmp_path}/a.png")
+    assert [expanded(color) for color in as_they_are] == [[color] for color in as_they_are]
+
+
+def test_a_cloth_repeats_every_so_many_metres(people, tmp_path):
+    stripes = np.zeros((64, 64, 3), np.uint8)
+    stripes[:32] = 255
+    Image.fromarray(stripes).save(tmp_path / "stripes.png")
+    fit = fit_people(people)[0]
+    shares, colors = read_clothes(f"{tmp_path / 'stripes.png'}@tile=0.4").on(fit, 0)
+    worn = shares.diagonal() > 0
+    bright = colors[:, 0] > 0.5
+    # On the body at rest a stripe is 0.2 m high, wherever it lies.
+    height = np.floor(-fit.rest[:, 1] / 0.2).astype(int) % 2 == 0
+    assert (bright == height)[worn].mean() > 0.93
+
+
+def test_own_clothes_come_back_from_the_faces_much_as_they_were(people):
+    fit = fit_people(people)[0]
+    photograph, grey, _, own = controls()
+    photo = torch.from_numpy(fit.person.image).permute(2, 0, 1) / 255
+    image, other, as_is = (paint(*dress(fit, worn, 0, SMALL)) for worn in (own, grey, photograph))
+    assert (image - as_is).abs().mean() < 0.2 * (other - as_is).abs().mean()
+    assert photo.min() >= 0
+
+
+def test_zoo_entries_of_every_known_topology_are_worn():
+    for name in ("transfer-anny", "builtin-sample", "builtin-clothed"):
+        clothes = read_clothes(f"zoo:{name}")
+        assert (clothes.position >= 0).sum() > 1000 and clothes.position.max() < len(clothes.colors)
+    assert (clothes_position() >= 0).sum() > 5000
+
+
+def test_a_run_of_cloth_is_worn_as_the_cloth_where_its_logo_is(people, tmp_path):
+    run = entry("transfer-people").write_run(tmp_path / "run")
+    worn = read_clothes(str(run))
+    assert worn.metres == 0.25 and not worn.is_patch
+    picture = read_clothes(f"{run / 'cloth.png'}@tile=0.25")
+    fit = fit_people(people)[0]
+    (shares, colors), (same, other) = worn.on(fit, 0), picture.on(fit, 0)
+    assert np.array_equal(colors, other) and (shares - same).nnz == 0 and shares.nnz > 100
+    config = json.loads((run / "config.json").read_text())
+    del config["settings"]["tile_cm"]
+    (run / "config.json").write_text(json.dumps(config))
+    with pytest.raises(InputError, match="does not say how wide"):
+        read_clothes(str(run))
+
+
+def test_prints_are_worn_and_anything_of_cloth_upside_down(people, tmp_path):
+    upright, flipped = read_clothes("print:ellipses@tile=0.3"), read_clothes("print:ellipses@tile=0.3@flipped")
+    assert (upright.name, flipped.name) == ("print:ellipses@tile=0.3", "print:ellipses@tile=0.3@flipped")
+    assert np.array_equal(upright.picture[::-1], flipped.picture) and upright.metres == flipped.metres == 0.3
+    fit = fit_people(people)[0]
+    assert upright.on(fit, 0)[1].shape == flipped.on(fit, 0)[1].shape
+    whole, wider = read_clothes("zoo:transfer-people@flipped"), read_clothes("zoo:transfer-people@tile=0.5")
+    assert whole.name == "zoo:transfer-people@flipped" and whole.metres == 0.25
+    assert np.array_equal(whole.picture[::-1], wider.picture) and wider.metres == 0.5
+
+
+def test_a_width_is_chosen_on_those_who_do_not_judge(people, tmp_path):
+    bars = np.zeros((100, 100, 3), np.uint8)
+    bars[:, :40, 2] = 255
+    bars[:, 40:, 0] = 255
+    Image.fromarray(bars).save(tmp_path / "bars.png")
+    spec, other = f"{tmp_path / 'bars.png'}@tile=auto", BodyDetector()
+    other.spec = "other"
+    judges, chosen_on = people.halves()
+    worn = partial(wear, [spec, "print:dots@tile=0.2"], judges, {"body": BodyDetector()}, settings=SMALL)
+    result = worn(width_people=chosen_on, width_detectors={"other": other}, out=tmp_path / "out")
+    curve = result["widths"][spec]
+    rates = {metres: s["success"] + s["success_own"] for metres, s in curve["detectors"]["other"].items()}
+    assert list(map(float, rates)) == list(WIDTHS) and len(set(rates.values())) > 1
+    assert curve["chosen"] == float(max(rates, key=rates.get)) and curve["people"] == len(chosen_on)
+    assert f"bars@tile={curve['chosen']:g}" in result["detectors"]["body"]
+    assert json.loads((tmp_path / "out" / "wear.json").read_text())["widths"] == result["widths"]
+    validate("wear", (tmp_path / "out" / "wear.json").read_text())
+    show_worn(result, 0.6)
+    for words, asked, detectors in (
+        ("needs --width-people", None, {"other": other}),
+        ("needs --width-detector", chosen_on, {}),
+        (f"--width-people: {judges.photographs[0]} judges as well", people, {"other": other}),
+        ("--width-detector: again judges as well", chosen_on, {"other": other, "again": BodyDetector()}),
+    ):
+        with pytest.raises(InputError, match=words):
+            worn(width_people=asked, width_detectors=detectors)
+
+
+BAD = {
+    "no such entry": "zoo:nothing",
+    "say how wide": "{red}",
+    "not between 0.01 and 5": "{red}@tile=99",
+    "no such file": "{red}x.png@tile=0.5",
+    "the width auto is not": "{red}@tile=auto",
+    "print:dots: say how wide": "print:dots",
+    "no such print": "print:zigzag@tile=0.3",
+    "has no cloth that repeats": "zoo:transfer-anny@tile=0.3",
+    "colours of faces": "zoo:transfer-anny@flipped",
+}
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_colours_that_cannot_be_worn_are_named(red, words):
+    with pytest.raises(InputError, match=words):
+        read_clothes(BAD[words].format(red=red))
+
+
+def test_pairs_for_raters_do_not_say_what_is_what(people, red, tmp_path):
+    settings = replace(SMALL, pairs=7)
+    wear(
+        [f"{red}@tile=0.5", f"{red}@patch=0.3"],
+        people,
+        {"body": BodyDetector()},
+        out=tmp_path / "out",
+        settings=settings,
+    )
+    page = (tmp_path / "out/rate.html").read_text("utf-8")
+    with (tmp_path / "out/rate-key.csv").open() as file:
+        key = list(csv.DictReader(file))
+    assert len(key) == 7 and page.count("<img") == 14 and page.count('type="radio"') == 21
+    assert not any(told in re.sub('base64,[^"]+', "", page) for told in ("red@", "tile=", "patch=", "clothing"))
+    asked = Counter(frozenset((row["left"], row["right"])) for row in key)
+    assert len(asked) == 3 and max(asked.values()) - min(asked.values()) <= 1
+    assert len({(row["left"], row["right"], row["person"]) for row in key}) == 7  # nothing is asked twice
+    assert {row["person"] for row in key} <= {person.name for person in people.people}
+    with pytest.raises(InputError, match="--pairs: needs --out"):
+        wear([f"{red}@tile=0.5"], people, {"body": BodyDetector()}, settings=settings)
