@@ -66,9 +66,14 @@ class SuccessMetric:
     """
 
     def __init__(self, person: int = 0, threshold: float = THRESHOLD) -> None:
-        self.metadata = {"id": f"cloak-success-{threshold:g}"}
+        self._metadata = {"id": f"cloak-success-{threshold:g}"}
         self.person, self.threshold = person, threshold
         self.reset()
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What MAITE asks a metric to say of itself: its id."""
+        return self._metadata
 
     def reset(self) -> None:
         """Forget everything."""

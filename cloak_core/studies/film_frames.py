@@ -136,7 +136,7 @@ class _Drawing:
             draw.text((right, top), caption, SOFT, _font(text), "ra")
             zero = top + 5.4 * text
             y = partial(_height, zero, 3.8 * text)
-            for value, shade in ((0, FAINT), (1, FAINT), (own, FAINT), (self.settings.threshold, SOFT)):
+            for value, shade in ((0.0, FAINT), (1.0, FAINT), (own, FAINT), (self.settings.threshold, SOFT)):
                 draw.line((left, y(value), right, y(value)), fill=shade)
             for control in (LOGO, CLOTHING):
                 self._series(draw, spec, control, y, zero + text * (0.35 + 0.75 * SIDES.index(control)))

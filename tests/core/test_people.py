@@ -16,6 +16,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.source import PeopleSource, draw_framing
 from cloak_core.studies.trainings.training import train
@@ -55,12 +56,21 @@ def run(out, fits, bodies="sample[0:1]", **changes):
     return train(*given, people=fits, resume=resume)
 
 
+class DrawsAlone(BodyPlan):
+    """A source of which nobody asks a view."""
+
+    def view(self, shown: object, seed: int) -> None:
+        raise NotImplementedError
+
+    undressed = view
+
+
 def people_sampler(count: int, poses: int = 1, outfits: int = 1, **changes) -> Sampler:
     """Draws of bodies and of `count` people, without a pixel of them."""
     chosen = settings(**changes)
     worn = Worn(load_scene("sample[0:1]"), load_logo(load_scene("sample[0:1]"), region="shirt"))
-    people = PeopleSource([None] * count, worn, chosen.photographs, 64, chosen.run.seed)
-    mixed = Mixture(BodyPlan(chosen.views, poses, outfits), people, chosen.photographs.people_share, chosen.run.seed)
+    people = PeopleSource([object.__new__(Fit)] * count, worn, chosen.photographs, 64, chosen.run.seed)
+    mixed = Mixture(DrawsAlone(chosen.views, poses, outfits), people, chosen.photographs.people_share, chosen.run.seed)
     return Sampler(chosen, mixed, 5)
 
 

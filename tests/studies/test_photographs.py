@@ -256,7 +256,7 @@ def test_the_command_says_what_the_contract_promises(
     assert not end.value.code and {"with", "without", "people", "pictures"} <= set(told)
     assert {"success", "conditional", "n", "ci95"} <= set(told["with"])
     with pytest.raises(SystemExit):
-        main(["judge", str(tmp_path), "--detector", "painted"])
+        main(["judge", str(tmp_path), "--detector", "builtin"])
     assert "2 pictures, people: 1, scenes: 1; wrote" in capsys.readouterr().out
     with pytest.raises(SystemExit) as end:
         main(["judge", str(tmp_path)])

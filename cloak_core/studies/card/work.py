@@ -32,7 +32,9 @@ class Pace:
 
     def seconds(self, costs: Mapping[str, tuple[float, float]]) -> float:
         """Estimate the time of parts, by their costs (see `Work`)."""
-        return sum(trained / TRAINED * self.gradient + looked * self.forward for trained, looked in costs.values())
+        return float(
+            sum(trained / TRAINED * self.gradient + looked * self.forward for trained, looked in costs.values())
+        )
 
 
 def measure_pace(detector: Detector, size: int) -> Pace:
@@ -79,12 +81,12 @@ class Work:
     @property
     def seconds(self) -> float:
         """Time of all parts, over all calls."""
-        return round(sum(self._record["seconds"].values()), 1)
+        return round(float(sum(self._record["seconds"].values())), 1)
 
     @property
     def total(self) -> float:
         """Cost of all parts."""
-        return sum(map(sum, self.costs.values()))
+        return float(sum(map(sum, self.costs.values())))
 
     @property
     def left(self) -> dict[str, tuple[float, float]]:

@@ -79,10 +79,10 @@ def local_matrix(node: dict, moved: dict[str, np.ndarray]) -> np.ndarray:
     def value(name: str, default: tuple[float, ...]) -> np.ndarray:
         return np.asarray(moved.get(name, node.get(name, default)), float)
 
-    turn = Rotation.from_quat(value("rotation", (0, 0, 0, 1))).as_matrix()
+    turn = Rotation.from_quat(value("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
     matrix = np.eye(4)
-    matrix[:3, :3] = turn * value("scale", (1, 1, 1))
-    matrix[:3, 3] = value("translation", (0, 0, 0))
+    matrix[:3, :3] = turn * value("scale", (1.0, 1.0, 1.0))
+    matrix[:3, 3] = value("translation", (0.0, 0.0, 0.0))
     return matrix
 
 
