@@ -247,6 +247,8 @@ def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> Non
 
 def say(text: str) -> None:
     """Write one line on standard output, at once."""
+    if sys.stdout is None:  # it was closed before Python began
+        return
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
 

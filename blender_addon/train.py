@@ -34,7 +34,8 @@ def leave(code: int) -> None:
     """Exit with a code, also if standard output is closed."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
-            stream.flush()
+            if stream is not None:  # it was closed before Python began
+                stream.flush()
     # The interpreter would flush again, and end with code 120; and the bpy package may wait for ever in its own
     # destructors (a condition variable still in use).
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)

@@ -17,6 +17,7 @@ from ..files.writing import write_text, written
 from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
 from ..trainer.jobs import run_cloak
+from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
@@ -135,6 +136,9 @@ def film(context: bpy.types.Context, label: str, name: str, options: list[str], 
         options.append(f"--camera={folder / name}.csv")
     fps = context.scene.render.fps / context.scene.render.fps_base
     options += [f"--fps={min(fps, GIF_FPS) if suffix == '.gif' else fps:g}", f"--device={settings.device}"]
+    # Those of the scene, as for an evaluation: the user has named them here, in a run folder anybody may have.
+    specs = judges(settings) if settings.detectors else ()
+    options += [f"--detector={spec}" for spec in specs]
     words = ["film", run, "--scene", scene, *options, backgrounds_option(settings.judging), "--out", place]
     return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: f"Wrote {place.name}", True)
 
