@@ -45,7 +45,7 @@ class Draws:
         own = {name: getattr(self, name)[part] for name in ("background", "shift", "contrast", "brightness", "seed")}
         return Draws(**own, shown={name: column[part] for name, column in self.shown.items()})
 
-    def views(self) -> list[tuple[dict[str, float], int]]:
+    def views(self) -> list[tuple[dict[str, int | float], int]]:
         """List each image's columns of the source, and its seed."""
         columns = {name: column.tolist() for name, column in self.shown.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
