@@ -147,8 +147,9 @@ def test_the_wheel_knows_its_extras_and_brings_the_scripts_for_blender(python: P
     assert script.is_relative_to(python.parents[1])
     blender = ROOT / ".venv-blender" / "bin" / "python"
     assert blender.exists(), "no Python with bpy: run tools/setup_blender.sh"
-    refused = subprocess.run([blender, script, "--", "--hat"], capture_output=True, text=True, timeout=300, check=False)
-    assert refused.returncode == 2 and "train.py: " in refused.stderr
+    asked = [blender, script, "--", "--logo", "chest", "--out", "run", "--hat"]
+    refused = subprocess.run(asked, capture_output=True, text=True, timeout=300, check=False)
+    assert refused.returncode == 2 and "cloak: unrecognized arguments: --hat" in refused.stderr
 
 
 def packages(folder: Path, **versions: str) -> Path:

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float32, Int64, Integer, UInt8
 from torch import Tensor
 from torch.autograd.graph import increment_version
 
-from cloak_core.core.view import BakedView, Photometric
+from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.backend import LogoMatrix, backend
 
 
@@ -26,14 +26,13 @@ def compose(
     colors: Float32[Tensor, "*B L 3"],
     backgrounds: Float32[Tensor, "B 3 H W"],
     shifts: Integer[Tensor, "B 2"] | None = None,
-    photometric: Photometric | None = None,
 ) -> Float32[Tensor, "B 3 H W"]:
     """Render B baked views of one logo over B backgrounds.
 
     colors: the logo's, for all images [L, 3] or for each [B, L, 3]. shifts: (dx, dy) in whole pixels, right and down,
     by which the body moves; what leaves the image is lost. Returns images in [0, 1], never NaN for finite input.
     """
-    return Canvas.before(views, backgrounds, shifts, photometric).paint(colors)
+    return Canvas.before(views, backgrounds, shifts).paint(colors)
 
 
 def blank(count: int, height: int, width: int, device: torch.device | str = "cpu") -> Float32[Tensor, "P 3"]:
@@ -68,36 +67,34 @@ class Canvas:
     """Rows of the logo's pixels; the last row for pixels that a shift moves out of the image."""
     logo: LogoMatrix
     """What the logo's colours add to them."""
-    scale: Float32[Tensor, "B 1 1"] | Float32[Tensor, "1 3"] | Float32[Tensor, "B 1 3"] | None
-    """What the logo's colours are multiplied by: the light's colour, the contrast of the render."""
+    scale: Float32[Tensor, "B 1 3"] | None
+    """The light's colour, which multiplies the logo's colours; None: white in every image."""
     logo_count: int
     """L."""
 
     @staticmethod
-    def alone(views: Sequence[BakedView], photometric: Photometric | None = None) -> Canvas:
+    def alone(views: Sequence[BakedView]) -> Canvas:
         """Composite views that need no background, as their coverage is 1 everywhere (photographs); else over black."""
         rows = blank(len(views), views[0].height, views[0].width, views[0].pixels.device).zero_()
-        return Canvas.of(views, rows, None, photometric)
+        return Canvas.of(views, rows)
 
     @staticmethod
     def before(
         views: Sequence[BakedView],
         backgrounds: Float32[Tensor, "B 3 H W"],
         shifts: Integer[Tensor, "B 2"] | None = None,
-        photometric: Photometric | None = None,
     ) -> Canvas:
         """Composite B bodies without their logo over a copy of these backgrounds."""
         _check(views, (len(backgrounds), *backgrounds.shape[2:]))
         rows = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
         pixels_of(rows, backgrounds.shape).copy_(backgrounds)
-        return Canvas.of(views, rows, shifts, photometric)
+        return Canvas.of(views, rows, shifts)
 
     @staticmethod
     def of(
         views: Sequence[BakedView],
         rows: Float32[Tensor, "P 3"],
         shifts: Integer[Tensor, "B 2"] | None = None,
-        photometric: Photometric | None = None,
     ) -> Canvas:
         """Composite B bodies without their logo over the backgrounds in `rows` (see `blank`), in place."""
         _check(views, (len(views), views[0].height, views[0].width))
@@ -105,9 +102,7 @@ class Canvas:
         scale = None
         if any(view.light_color != (1.0, 1.0, 1.0) for view in views):
             scale = torch.tensor([[view.light_color] for view in views], device=rows.device)
-        if photometric is not None:
-            scale = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale)
-        base, target = stage.draw_bodies(views, rows, shifts, photometric)
+        base, target = stage.draw_bodies(views, rows, shifts)
         logo = stage.logo_matrix(views)
         shape = (len(views), 3, views[0].height, views[0].width)
         return Canvas(rows, shape, base, target, logo, scale, views[0].map.width)

@@ -155,23 +155,6 @@ class Surface:
     on a texture or a cloth, so views of these have one for each triangle."""
 
 
-@dataclass(frozen=True)
-class Photometric:
-    """Changes of brightness for B images: value * contrast + brightness + noise."""
-
-    contrast: Float32[Tensor, " B"]
-    brightness: Float32[Tensor, " B"]
-    noise: Number = 0.0
-    """Amplitude of uniform noise per pixel and channel, +-."""
-    seed: int = 0
-    """Of the noise, for the whole batch."""
-
-    def draw_noise(self, shape: Sequence[int], device: torch.device) -> Tensor:
-        """Draw the batch's noise; the same numbers for the same shape and kind of device."""
-        generator = torch.Generator(device=device).manual_seed(self.seed)
-        return torch.rand(shape, generator=generator, device=device).mul_(2).sub_(1).mul_(self.noise)
-
-
 @dataclass(frozen=True, eq=False)
 class View:
     """What one image shows of faces: N covered pixels, and a sparse map of E entries, pixels x faces."""

@@ -126,7 +126,7 @@ def on_body(
     return OnBody(person, *_best_class(detections, on), on)
 
 
-def classes_above(best: OnBody, detections: Detections, threshold: float) -> list[Int[Tensor, " k"]] | None:
+def classes_above(best: OnBody, detections: Detections, threshold: float) -> list[Int[Tensor, " _"]] | None:
     """List the other classes that are reported on each of B bodies above `threshold`; None where none is told of."""
     if best.on is None:
         return None
@@ -134,7 +134,7 @@ def classes_above(best: OnBody, detections: Detections, threshold: float) -> lis
     return [numbers[row].unique() for numbers, row in zip(detections.other_class, reported, strict=True)]
 
 
-def without_classes(best: OnBody, detections: Detections, own: Sequence[Int[Tensor, " k"]] | None) -> OnBody:
+def without_classes(best: OnBody, detections: Detections, own: Sequence[Int[Tensor, " _"]] | None) -> OnBody:
     """Leave out, for each body, classes that were reported on it before: a bag that she carries is no new name."""
     if best.on is None or own is None:
         return best

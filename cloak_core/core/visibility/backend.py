@@ -18,7 +18,7 @@ from torch import Tensor
 from cloak_core.core.cameras import Vector
 from cloak_core.core.cloth import Cloth
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.view import BakedView, FlatTriangles, Fragments, Photometric, Screen, Surface, View, Window
+from cloak_core.core.view import BakedView, FlatTriangles, Fragments, Screen, Surface, View, Window
 from cloak_core.core.visibility.compiled import use_loops
 
 
@@ -95,9 +95,8 @@ class Backend(Protocol):
         views: Sequence[BakedView],
         rows: Float32[Tensor, "P 3"],
         shifts: Integer[Tensor, "B 2"] | None,
-        change: Photometric | None,
     ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
-        """Composite B bodies, except the M logo pixels, over the rows of a canvas; change: of the bodies' pixels.
+        """Composite B bodies, except the M logo pixels, over the rows of a canvas.
 
         Returns what the logo's pixels show beside the logo, and their rows: the last row for pixels outside the image.
         """

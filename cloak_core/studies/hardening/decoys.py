@@ -22,7 +22,7 @@ from cloak_core.core.pictures import perspective
 
 TEXTURE = 96
 """Height and width of a texture, pixels."""
-Texture = Float32[np.ndarray, "3 h w"]
+Texture = Float32[np.ndarray, "3 t t"]
 Quad = Float[np.ndarray, "4 2"]
 """Corners in pixels: top left, top right, bottom right, bottom left."""
 UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])

@@ -9,7 +9,6 @@ from bodies_made import sphere
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.paint import compose, true_boxes
-from cloak_core.core.view import Photometric
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.sources.bodies.view_cache import ViewCache
 
@@ -72,11 +71,9 @@ def test_the_background_is_left_as_it_was(views) -> None:
 def test_gradient_equals_differences(views, count: int) -> None:
     """Sums stay within (0, 1) here, so that the image is linear and differences are exact up to rounding."""
     colors, backgrounds = scene(1, 0.3, 0.5)
-    values = torch.tensor([0.7, 0.8, 0.6])[:count], torch.tensor([0.02, 0.01, 0.05])[:count]
-    change = Photometric(*values, noise=0.02, seed=4)
     shifts = torch.tensor([[2, 1], [0, -9], [-3, 4]])[:count]
     upstream = torch.rand(count, 3, 30, 40, generator=torch.Generator().manual_seed(2))
-    render = lambda c: compose(views[:count], c, backgrounds[:count] * 0.5, shifts, change)
+    render = lambda c: compose(views[:count], c, backgrounds[:count] * 0.5, shifts)
     colors.requires_grad_()
     render(colors).backward(upstream)
     direction = torch.randn(colors.shape, generator=torch.Generator().manual_seed(3)) * 0.05
@@ -120,19 +117,6 @@ def test_black_colours_at_the_bound_still_learn() -> None:
         colors = torch.full((view.map.width, 3), value, requires_grad=True)
         compose([view], colors, torch.zeros(1, 3, 30, 40)).sum().backward()
         assert (colors.grad[torch.unique(view.map.column)] > 0).all()
-
-
-def test_noise_is_seeded_and_stays_on_its_own(views) -> None:
-    colors, backgrounds = scene(0, 0.4, 0.6)
-    one, zero = torch.ones(3), torch.zeros(3)
-    noisy = [compose(views, colors, backgrounds, None, Photometric(one, zero, 0.1, seed)) for seed in (1, 1, 2)]
-    assert torch.equal(noisy[0], noisy[1]) and not torch.equal(noisy[0], noisy[2])
-    change = (noisy[0] - compose(views, colors, backgrounds)).abs()
-    assert change.max() <= 0.1 + 1e-6
-    for i, view in enumerate(views):
-        touched = torch.zeros(30 * 40, dtype=torch.bool)
-        touched[view.pixels] = True
-        assert (change[i].reshape(3, -1)[:, ~touched] == 0).all()
 
 
 def test_true_boxes_move_and_are_clipped(views) -> None:

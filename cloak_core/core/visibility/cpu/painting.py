@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float32, Int64, Integer
 from torch import Tensor
 
-from cloak_core.core.view import BakedView, Photometric
+from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.compiled import arrays, loop
 
 Shifts = Integer[Tensor, "B 2"]
@@ -21,36 +21,17 @@ ZERO, ONE = np.float32(0), np.float32(1)
 
 
 def draw_bodies(
-    views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None, change: Photometric | None
+    views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
     """See `Backend.draw_bodies`."""
     count = sum(view.map.height for view in views)
     base, target = torch.empty(count, 3), torch.empty(count, dtype=torch.int64)
     moves = [(0, 0)] * len(views) if shifts is None else shifts.tolist()
-    contrast, brightness = np.ones(len(views), np.float32), np.zeros(len(views), np.float32)
-    if change is not None:
-        contrast, brightness = arrays(change.contrast, change.brightness)
-    noise = _noise(views, change)
     all_rows, all_base, all_target = arrays(rows, base, target)
     for image, (view, own) in enumerate(zip(views, _logo_parts(views), strict=True)):
-        _draw(
-            *(*view.arrays, contrast[image], brightness[image], noise[image]),
-            *(image, view.width, view.height, *moves[image], all_rows, all_base[own], all_target[own]),
-        )
+        place = (image, view.width, view.height, *moves[image])
+        _draw(*view.arrays, *place, all_rows, all_base[own], all_target[own])
     return base, target
-
-
-def _noise(views: Sequence[BakedView], change: Photometric | None) -> list[np.ndarray]:
-    """Draw noise [N, 3] for each view, empty where there is none.
-
-    Drawn at once and dealt out as torch/painting.py does: the logo's pixels of all views, those at edges, the rest.
-    """
-    if change is None or not change.noise:
-        return [np.empty((0, 3), np.float32)] * len(views)
-    sizes = [view.map.height for view in views] + [view.front_count - view.map.height for view in views]
-    sizes += [len(view.pixels) - view.front_count for view in views]
-    drawn = change.draw_noise((sum(sizes), 3), views[0].pixels.device).split(sizes)
-    return [torch.cat(drawn[image :: len(views)]).numpy() for image in range(len(views))]
 
 
 def _logo_parts(views: Sequence[BakedView]) -> Iterator[slice]:
@@ -105,11 +86,8 @@ def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
 
 
 @loop
-def _draw(
-    pixels, coverage, base_color, contrast, brightness, noise, image, width, height, right, down, rows, base, target
-):  # fmt: skip
+def _draw(pixels, coverage, base_color, image, width, height, right, down, rows, base, target):
     """Composite one body; the first len(base) pixels, the logo's, without the logo, go into `base`."""
-    noisy = len(noise) > 0
     logo = len(base)
     lost, plane = len(rows) - 1, width * height
     start = stop = moved = 0
@@ -122,11 +100,7 @@ def _draw(
             stop, moved = start + width, start + down * width
         x = pixel - start + right
         row = image * plane + moved + x if 0 <= x < width and 0 <= moved < plane else lost
-        red = base_color[0, n] * contrast + brightness * cover
-        green = base_color[1, n] * contrast + brightness * cover
-        blue = base_color[2, n] * contrast + brightness * cover
-        if noisy:
-            red, green, blue = red + noise[n, 0] * cover, green + noise[n, 1] * cover, blue + noise[n, 2] * cover
+        red, green, blue = base_color[0, n], base_color[1, n], base_color[2, n]
         if cover < ONE:
             beside = ONE - cover
             red, green, blue = red + rows[row, 0] * beside, green + rows[row, 1] * beside, blue + rows[row, 2] * beside

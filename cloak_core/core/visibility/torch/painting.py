@@ -14,13 +14,13 @@ from jaxtyping import Bool, Float32, Int64, Integer
 from torch import Tensor
 
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.view import BakedView, Photometric
+from cloak_core.core.view import BakedView
 
 Shifts = Integer[Tensor, "B 2"]
 
 
 def draw_bodies(
-    views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None, change: Photometric | None
+    views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
     """See `Backend.draw_bodies`."""
     height, width = views[0].height, views[0].width
@@ -40,8 +40,6 @@ def draw_bodies(
     front, logo = sum(view.front_count for view in views), sum(view.map.height for view in views)
     coverage = _cat([views[i].coverage[start:stop] for i, start, stop in parts])[:front].unsqueeze(1)
     body = torch.cat([views[i].base_color[:, start:stop].T for i, start, stop in parts])
-    if change is not None:
-        body = _changed(body, image, coverage, change)
     body[:front] += rows.index_select(0, target[:front]).mul_(1 - coverage)
     # One number at a time: torch is twice as fast at that as at rows of three.
     rows.view(-1).scatter_(0, _numbers(target[logo:]), body[logo:].clamp_(0, 1).view(-1))
@@ -110,17 +108,6 @@ def _shifted(
 def _columns(height: int, width: int, device: torch.device) -> Int64[Tensor, " P"]:
     """Compute the column of each pixel of an image."""
     return torch.arange(width, device=device).repeat(height)
-
-
-def _changed(
-    body: Float32[Tensor, "N 3"], image: Int64[Tensor, " N"], coverage: Float32[Tensor, "K 1"], change: Photometric
-) -> Float32[Tensor, "N 3"]:
-    """Apply the changes to the body's own pixels, weighted by coverage as they are."""
-    added = change.brightness.index_select(0, image).unsqueeze(1).expand_as(body).contiguous()
-    if change.noise:
-        added += change.draw_noise(body.shape, body.device)
-    added[: len(coverage)] *= coverage
-    return torch.addcmul(added, body, change.contrast.index_select(0, image).unsqueeze(1))
 
 
 def _numbers(row: Int64[Tensor, " N"]) -> Int64[Tensor, " N3"]:
