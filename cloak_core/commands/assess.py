@@ -48,7 +48,7 @@ class Assess(Splitting, Detecting, Sharing):
     full: bool = False
     """--size full."""
     minutes: float | None = None
-    """Take the largest size that fits into so many minutes on this machine, for each card."""
+    """For each card, take the largest size that fits into this number of minutes on this machine."""
     people: str | None = None
     """People in photographs, as in cloak wear: they wear the largest cloak, another detector's and the patterns, and
     come first."""

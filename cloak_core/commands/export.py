@@ -42,7 +42,7 @@ class Coco(Computing):
     images_per_view: int = 1
     """Images (background, shift, outfit) of every body at every angle, elevation and distance."""
     most_images: int | None = None
-    """Where these are more, only so many of them, drawn by the seed; each is written twice."""
+    """At most this number of them, drawn by the seed; each is written twice."""
     distances: tuple[float, ...] = (2.2,)
     """Camera distances, metres."""
     elevations: tuple[float, ...] = (6.0,)

@@ -107,7 +107,7 @@ class ImportSmpl(Writes):
     every: int = 1
     """Take each n-th pose."""
     limit: int | None = None
-    """At most so many poses."""
+    """Most poses to take."""
     subdivide: int = 0
     """Levels of midpoint subdivision."""
     texture: UseAppendAction[tuple[Path, ...]] = ()

@@ -82,7 +82,7 @@ class Train(Detecting):
     resume: bool = False
     """Continue the run in --out from its last checkpoint."""
     extend: int | None = None
-    """Make the run in --out longer by so many updates: a new run, RUN-STEPS, from its last checkpoint; the other
+    """Make the run in --out longer by this number of updates: a new run, RUN-STEPS, from its last checkpoint; the other
     options as they were."""
     config: Path | None = None
     """TOML file of settings, named as the options without dashes; options on the command line win."""

@@ -67,7 +67,7 @@ class Transfer(Splitting, Detecting, Sharing):
     images_per_view: int = 4
     """Test images per body and place of the camera."""
     most_images: int | None = None
-    """At most so many test images (default: 240 with --circle, else all)."""
+    """Most test images (default: 240 with --circle, else all)."""
     budget_minutes: float | None = None
     """Stop after this many minutes in all; the same command continues."""
     publish: Path | None = None

@@ -104,7 +104,7 @@ class Reproduce(Computing):
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Your detector of a record's file name, for those that run code: python:PLACE/d2go.py:load@conf=0.5."""
     most_images: int | None = None
-    """Of every entry's images only so many: quicker, and less sure."""
+    """Most images of each entry: fewer are quicker, and less sure."""
 
     def run(self) -> dict:
         from cloak_core.studies.zoo_reproduction import Files, evaluate_again

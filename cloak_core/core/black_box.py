@@ -51,7 +51,7 @@ class SearchResult(RunResult):
     queries: int = 0
     """Images that the detectors were shown, every detector's counted."""
     curve: tuple[tuple[int, float], ...] = ()
-    """Success of the colours on new images, after so many queries."""
+    """Success of the colours on new images, by the number of queries before."""
 
     def record(self) -> dict:
         return super().record() | {"queries": self.queries, "curve": [list(point) for point in self.curve]}

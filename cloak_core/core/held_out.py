@@ -21,7 +21,7 @@ from cloak_core.core.settings.components import RunSettings
 from cloak_core.core.world import World
 
 IMAGES = 64
-"""A measurement takes at least so many images."""
+"""Fewest images of a measurement."""
 _STATE = "held_out."
 
 

@@ -55,7 +55,7 @@ class RunFolder:
         save_picture(self.cloth, Image.fromarray(np.round(255 * picture).astype(np.uint8)))
 
     def write_snapshot(self, step: int, colors: Float32[np.ndarray, "L 3"]) -> None:
-        """Keep a copy of the colours after so many steps."""
+        """Keep a copy of the colours after `step` steps."""
         if self.snapshots.is_symlink():
             raise InputError(f"{self.snapshots}: not a folder of its own")
         with written(self.snapshots):

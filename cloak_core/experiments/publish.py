@@ -42,7 +42,7 @@ def make_page(out: Path) -> Path:
 
 
 def _shown(name: str, record: dict, most: int, leave: Sequence[str] = ()) -> dict:
-    """Prepare what both kinds of pages show of an experiment: at most so many rows, without the columns `leave`."""
+    """Prepare what both kinds of pages show of an experiment: at most `most` rows, without the columns `leave`."""
     rows = [{key: value for key, value in row.items() if key not in leave} for row in record["rows"][:most]]
     return {
         "name": name,

@@ -28,7 +28,7 @@ class Job:
 
 
 def resources(threads: int | None, device: str, gpus: float) -> dict[str, float]:
-    """Say what a job takes that computes with so many threads on a torch device. gpus: of one, where it is a GPU."""
+    """Say what a job takes that computes with `threads` threads on a torch device; gpus: the part of a GPU."""
     return {"cores": float(threads or 1), "gpus": 0.0 if device in ("cpu", "auto") else gpus}
 
 

@@ -1,4 +1,4 @@
-"""A few inks: each value ends as one of so many colours, learnt or chosen from a palette.
+"""A few inks: each value ends as one of a few colours, learnt or chosen from a palette.
 
 An assignment to a few inks that is made by rounding at the end throws away what training found. So it is made while
 training goes on. At first colours are free; where inks are learnt, they then begin as the means of clusters of these.
@@ -37,7 +37,7 @@ class InksSettings:
 
 
 class Inks(Technique):
-    """The colours there are: given ones, or so many learnt, or so many chosen among given ones."""
+    """The colours there are: given ones, or learnt, or chosen among given ones, at most `most`."""
 
     group = "pattern"
     settings = InksSettings

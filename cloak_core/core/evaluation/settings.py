@@ -28,7 +28,7 @@ class EvaluateSettings(RenderOptions):
     images_per_view: Annotated[int, Bounds(1)] = 4
     """Images (background, shift, outfit) of every body at every angle, elevation and distance."""
     most_images: Annotated[int | None, Bounds(1)] = None
-    """Where these are more, only so many of them, drawn by the seed."""
+    """At most this number of them, drawn by the seed."""
     distances: tuple[float, ...] = (2.2,)
     """Camera distances, metres."""
     elevation: Annotated[float, Bounds(-90, 90)] = 6.0

@@ -11,7 +11,7 @@ from cloak_core.detectors.onnx_family.layouts import COCO_CLASSES, YOLO_STRIDES,
 WIDEST_ROW = 7
 """Numbers of a box that is left after suppression, at most: image, class, score and corners."""
 MOST_QUERIES = 1000
-"""Transformers and end-to-end heads answer with at most so many boxes."""
+"""Most boxes with which transformers and end-to-end heads answer."""
 
 
 def guess_layout(outputs: Mapping[str, Tensor], size: Size, class_count: int | None) -> str | None:

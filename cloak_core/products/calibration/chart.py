@@ -58,7 +58,7 @@ def _lattice(across: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def write_chart(path: Path, dpi: int = 300) -> None:
-    """Write the chart as a PDF (or a .png of so many pixels per inch), and beside it a CSV of what each patch sends,
+    """Write the chart as a PDF (or a .png, `dpi` pixels per inch), and beside it a CSV of what each patch sends,
     for those who measure patches one by one. InputError: another kind of file."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle

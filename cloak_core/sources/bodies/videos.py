@@ -37,7 +37,7 @@ def require_av(path: Path) -> ModuleType:
 
 
 def read_frames(path: Path, every: int = 1, most: int | None = None) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """Read every `every`-th frame of a video, upright, RGB, at most so many. InputError: damaged, huge, or no video."""
+    """Read every `every`-th frame of a video, upright, RGB, at most `most`. InputError: damaged, huge, or no video."""
     av = require_av(path)
     count = 0
     with open_regular(path, MAX_FILE_BYTES) as file:

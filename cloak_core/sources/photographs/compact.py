@@ -79,7 +79,7 @@ def _quality(stored: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def _entries(start: Integer[np.ndarray, " R"], counts: Integer[np.ndarray, " R"]) -> Integer[np.ndarray, " E"]:
-    """List the entries of rows that start here and have so many."""
+    """List the entries of rows, each from `start` on, `counts` of them."""
     return np.repeat(start - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
 
 

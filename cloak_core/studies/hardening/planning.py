@@ -41,7 +41,7 @@ class Pace:
 
 
 def plan(settings: HardenSettings, pace: Pace, hours: float) -> HardenSettings:
-    """Choose the number of updates, and of cloaks finished first, that take so many hours at this pace.
+    """Choose the number of updates, and of cloaks finished first, that take `hours` at this pace.
 
     InputError: fewer than `LEAST_STEPS` updates fit.
     """

@@ -187,7 +187,7 @@ def import_smpl(
 ) -> Bodies:
     """Import bodies of one SMPL model in the poses of a file (`people.smpl_poses.read_poses` has its kinds).
 
-    every, limit: take each n-th pose, at most so many. Raises `InputError` for what does not fit together or would not
+    every, limit: take each n-th pose, at most `limit`. Raises `InputError` for what does not fit together or would not
     fit into memory.
     """
     if every < 1 or (limit is not None and limit < 1):
