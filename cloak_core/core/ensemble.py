@@ -62,7 +62,7 @@ class Ensemble:
             return [chosen.tolist()]
         return [[int(number)] for number in chosen]
 
-    def combine(self, losses: dict[int, Float[Tensor, "B"]], asked: int) -> Float[Tensor, "B"]:
+    def combine(self, losses: dict[int, Float[Tensor, " B"]], asked: int) -> Float[Tensor, " B"]:
         """Combine a group's losses, by the detector's number; `asked` detectors were in all groups.
 
         Of a subset each detector counts for those left out, too, so that its expectation is the whole ensemble's.

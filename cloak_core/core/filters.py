@@ -45,7 +45,7 @@ def windowed(images: Float[Tensor, "B 3 H W"], window: Float[Tensor, "B 3"]) -> 
     return F.grid_sample(images - 0.5, grid, padding_mode="zeros", align_corners=False) + 0.5
 
 
-def blurred(images: Float[Tensor, "B 3 H W"], sigma: Float[Tensor, "B"], reach: int = 3) -> Float[Tensor, "B 3 H W"]:
+def blurred(images: Float[Tensor, "B 3 H W"], sigma: Float[Tensor, " B"], reach: int = 3) -> Float[Tensor, "B 3 H W"]:
     """Blur each image by a Gaussian of its own standard deviation, pixels.
 
     The kernel is cut at `reach` pixels; edges are repeated.
@@ -62,7 +62,7 @@ def blurred(images: Float[Tensor, "B 3 H W"], sigma: Float[Tensor, "B"], reach: 
     return flat.view(images.shape)
 
 
-def through_jpeg(images: Float[Tensor, "B 3 H W"], quality: Float[Tensor, "B"]) -> Float[Tensor, "B 3 H W"]:
+def through_jpeg(images: Float[Tensor, "B 3 H W"], quality: Float[Tensor, " B"]) -> Float[Tensor, "B 3 H W"]:
     """Simulate JPEG of each image's quality: 8 x 8 DCT blocks in YCbCr, coefficients rounded by its tables.
 
     Without chroma subsampling. The gradient passes rounding as if it were not there. Clamped to [0, 1].
@@ -91,7 +91,7 @@ def _cosines(like: Tensor) -> Float[Tensor, "8 8"]:
     return matrix.to(like)
 
 
-def _quantisation(like: Tensor, quality: Float[Tensor, "B"]) -> Float[Tensor, "B 3 8 8"]:
+def _quantisation(like: Tensor, quality: Float[Tensor, " B"]) -> Float[Tensor, "B 3 8 8"]:
     """Scale the tables of annex K as libjpeg does for a quality of 1..100."""
     tables = torch.tensor([_LUMINANCE, _CHROMINANCE, _CHROMINANCE], dtype=like.dtype, device=like.device)
     percent = torch.where(quality < 50, 5000 / quality, 200 - 2 * quality)

@@ -41,7 +41,7 @@ def person_loss(
     kind: Loss = "score",
     operating_point: float = THRESHOLD,
     margin: float = 1.0,
-) -> Float[Tensor, "B"]:
+) -> Float[Tensor, " B"]:
     """Measure how surely each image shows a person, by its surest box.
 
     In [0, 1] for "score" and "objectness", in [0, inf) for the others.
@@ -62,7 +62,7 @@ def person_loss(
     return best
 
 
-def proposal_loss(detections: Detections) -> Float[Tensor, "B"]:
+def proposal_loss(detections: Detections) -> Float[Tensor, " B"]:
     """Measure the first stage's objectness of proposals, each as far as it became a person (two-stage detectors).
 
     The product of both, its gradient reaching the first stage alone (the second has `person_loss`); a proposal that the
@@ -74,7 +74,7 @@ def proposal_loss(detections: Detections) -> Float[Tensor, "B"]:
 
 
 def total_variation(
-    colors: Float[Tensor, "L 3"], edges: Int[Tensor, "E 2"], edge_lengths: Float[Tensor, "E"]
+    colors: Float[Tensor, "L 3"], edges: Int[Tensor, "E 2"], edge_lengths: Float[Tensor, " E"]
 ) -> Float[Tensor, ""]:
     """Sum over inner edges of length (metres) times absolute colour difference summed over channels, divided by L.
 

@@ -129,7 +129,7 @@ class Objective:
             raise ValueError("to hide everything on a body, its box must be known")
         return as_anything(detections, bodies)
 
-    def loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
+    def loss(self, detections: Detections, number: int) -> Float[Tensor, " B"]:
         """Compute what detector `number` adds to each image's loss."""
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.

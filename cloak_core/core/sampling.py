@@ -13,7 +13,7 @@ import numpy as np
 
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.values import Range
-from cloak_core.core.source import Source
+from cloak_core.core.source import Plan
 
 _EPOCH, _STEP = 0, 1
 """Streams of random numbers, kept apart."""
@@ -59,7 +59,7 @@ class Sampler:
     other, plus or minus one), in random order. Batches run on across epochs; the run's last one may be shorter.
     """
 
-    def __init__(self, settings: TrainSettings, source: Source, background_count: int) -> None:
+    def __init__(self, settings: TrainSettings, source: Plan, background_count: int) -> None:
         self.settings = settings
         self.source = source
         self.background_count = background_count

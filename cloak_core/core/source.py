@@ -17,8 +17,8 @@ _CHOICE = 4
 
 
 @runtime_checkable
-class Source(Protocol):
-    """Shows what is worn. What an image shows is a function of its columns (`draw`) and its seed alone."""
+class Plan(Protocol):
+    """Decides whom images show, and from where."""
 
     directions: int
     """An epoch shows every background once in each direction: training angles, say."""
@@ -40,6 +40,11 @@ class Source(Protocol):
         images: their numbers, counted from the start of the run; random: the step's generator.
         """
         ...
+
+
+@runtime_checkable
+class Source(Plan, Protocol):
+    """Shows what is worn. What an image shows is a function of its columns (`draw`) and its seed alone."""
 
     def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """Make one image's view, of its columns."""

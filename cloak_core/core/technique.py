@@ -96,7 +96,7 @@ class Technique:
     def weights(self) -> Float[np.ndarray, " detectors"]:
         """Weigh the detectors; the weights sum to 1."""
 
-    def level(self, scores: Float[torch.Tensor, B], operating_point: float) -> Float[torch.Tensor, B]:
+    def level(self, scores: Float[torch.Tensor, " B"], operating_point: float) -> Float[torch.Tensor, " B"]:
         """Measure, for `observe`, how surely a detector found each person."""
 
     def observe(self, levels: dict[int, float]) -> None:

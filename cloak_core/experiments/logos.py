@@ -16,7 +16,7 @@ from cloak_core.core.pictures import save_picture
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.logos.stamping import project_mask, project_text, sized_stamp
 
-FaceIds = Int64[np.ndarray, "_"]
+FaceIds = Int64[np.ndarray, " _"]
 PAPER_SHARES = {"letter G": 2426 / 55152, "smiley": 2427 / 55152, "chest + thighs": 4691 / 55152}
 """Faces of the paper's logos over faces of its body. Its faces differ in area, so a share of faces is only near one."""
 

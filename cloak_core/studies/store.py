@@ -28,6 +28,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.sources.photographs.fits import NOBODY, Fits, fit_people, people_identity
+from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.body_renderer import BodyRenderer
 from cloak_core.studies.cloaked import Cloaked

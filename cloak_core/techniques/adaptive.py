@@ -34,7 +34,7 @@ class Adaptive(Technique):
         grown = np.exp(_SHARPNESS * (self._levels - self._levels.max()))
         return grown / grown.sum()
 
-    def level(self, scores: Float[torch.Tensor, B], operating_point: float) -> Float[torch.Tensor, B]:
+    def level(self, scores: Float[torch.Tensor, " B"], operating_point: float) -> Float[torch.Tensor, " B"]:
         """Measure how surely a person is found beside the detector's operating point: 0.5 there, in [0, 1].
 
         The odds of the score over the sum of its odds and those of the operating point.

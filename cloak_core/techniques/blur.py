@@ -47,7 +47,7 @@ class Blur(Technique):
 class Blurred(Distortion):
     """How much each of B images is blurred."""
 
-    deviations: Float[torch.Tensor, B]
+    deviations: Float[torch.Tensor, " B"]
     """Pixels."""
 
     def __call__(self, images: Float[torch.Tensor, "B 3 H W"]) -> Float[torch.Tensor, "B 3 H W"]:

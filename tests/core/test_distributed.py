@@ -50,7 +50,7 @@ class Telling(loop.TrainingLoop):
         if self.techniques:
             save_file(self.techniques.state(), f"{out}.rank{self.world.rank}")
         return result
-from cloak_core.studies.trainings import training
+from cloak_core.core import train as training
 training.TrainingLoop = Telling
 try:
     detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]

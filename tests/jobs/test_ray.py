@@ -115,7 +115,7 @@ def test_outcomes_errors_and_what_no_machine_has(cluster):
         ("0", 0, ""), ("1", None, "one: refused"), ("2", 2, ""),
     ]  # fmt: skip
     with pytest.raises(InputError, match="a run asks for 64 cores"):
-        list(executor.run([Job("large", refuse, {"number": 0}, cores=64)]))
+        list(executor.run([Job("large", refuse, {"number": 0}, cores=64.0)]))
 
 
 def test_no_cluster_there_is_one_line():

@@ -221,14 +221,14 @@ def learning_curve(done: int, steps: int) -> float:
 
 
 @torch.no_grad()
-def best_logits(network: Network, images: Float[Tensor, "B 3 S S"]) -> Float[Tensor, B]:
+def best_logits(network: Network, images: Float[Tensor, "B 3 S S"]) -> Float[Tensor, " B"]:
     """The largest objectness logit of each image."""
     raw = network(images)[0]
     return network.heads[0].split(raw)[:, :, 4].float().flatten(1).amax(1)
 
 
 @torch.no_grad()
-def person_logits(network: Network, data: ExampleMaker, rng: np.random.Generator, count: int) -> Float[Tensor, P]:
+def person_logits(network: Network, data: ExampleMaker, rng: np.random.Generator, count: int) -> Float[Tensor, " P"]:
     """For `count` plain images of one person, the largest objectness logit among boxes that lie on the person."""
     found: list[Tensor] = []
     while len(found) < count:

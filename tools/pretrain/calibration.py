@@ -26,7 +26,7 @@ class Calibration(NamedTuple):
 
 
 def calibrate(
-    people: Float[Tensor, P], places: Float[Tensor, N], false_alarm_weight: float = FALSE_ALARM_WEIGHT
+    people: Float[Tensor, " P"], places: Float[Tensor, " N"], false_alarm_weight: float = FALSE_ALARM_WEIGHT
 ) -> Calibration:
     """From the best logit on each image with a person and on each without.
 
@@ -56,7 +56,7 @@ def calibrate(
 
 
 def best_cut(
-    people: Float[Tensor, P], places: Float[Tensor, N], false_alarm_weight: float = FALSE_ALARM_WEIGHT
+    people: Float[Tensor, " P"], places: Float[Tensor, " N"], false_alarm_weight: float = FALSE_ALARM_WEIGHT
 ) -> float:
     """The threshold with the fewest misses plus weighted false alarms; the middle where several do equally well."""
     edges = torch.cat([people, places]).sort().values

@@ -47,7 +47,7 @@ class Wardrobe:
             colors[patch] = self._pattern(rng, PATCHES)[patch]
         return colors
 
-    def _patch(self, rng: Rng) -> Bool[np.ndarray, F]:
+    def _patch(self, rng: Rng) -> Bool[np.ndarray, " F"]:
         """A named region or two, perhaps its front only, or a slab of the body seen from some side."""
         if self.patches and rng.random() < 0.7:
             faces = self.patches[rng.integers(len(self.patches))].copy()
@@ -82,7 +82,7 @@ def _grey(rng: Rng, centre: Colors) -> Colors:
     return np.full(centre.shape, level, np.float32)
 
 
-def _wave(rng: Rng, centre: Colors, low: float | int, high: float | int) -> Float[np.ndarray, F]:
+def _wave(rng: Rng, centre: Colors, low: float | int, high: float | int) -> Float[np.ndarray, " F"]:
     """A sine along a random direction, `low` to `high` periods a metre."""
     direction = rng.standard_normal(3)
     if rng.random() < 0.6:

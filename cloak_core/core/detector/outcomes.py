@@ -32,11 +32,11 @@ class BestOther(NamedTuple):
 class OnBody(NamedTuple):
     """The best scores on one true body for each of B images, 0 where no box lies on it; differentiable."""
 
-    person: Float[Tensor, B]
+    person: Float[Tensor, " B"]
     """Of person boxes that fit the body or lie within it."""
-    other: Float[Tensor, B] | None
+    other: Float[Tensor, " B"] | None
     """Of any other class whose box is on the body; None where the detector tells of no other class."""
-    other_class: Int[Tensor, B] | None
+    other_class: Int[Tensor, " B"] | None
     """Which class that is: index among `class_names`; meaningless where `other` is 0."""
     on: Bool[Tensor, "B N"] | None = None
     """Which boxes are on the body, for other classes."""
@@ -143,7 +143,7 @@ def without_classes(best: OnBody, detections: Detections, own: Sequence[Int[Tens
     return OnBody(best.person, *_best_class(detections, on), on)
 
 
-def _best_class(detections: Detections, on: Bool[Tensor, "B N"]) -> tuple[Float[Tensor, B], Int[Tensor, B]]:
+def _best_class(detections: Detections, on: Bool[Tensor, "B N"]) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
     """Find the best other class among these boxes: its score, and its number."""
     other, row = _best(torch.where(on, detections.other, 0.0))
     numbers = detections.other_class
@@ -171,7 +171,7 @@ def class_name(names: Sequence[str] | None, number: int) -> str:
     return names[number] if names is not None and 0 <= number < len(names) else f"class {number}"
 
 
-def _best(values: Float[Tensor, "B N"]) -> tuple[Float[Tensor, B], Int[Tensor, B]]:
+def _best(values: Float[Tensor, "B N"]) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
     """Find the largest of each row and its place; 0 where rows are empty, with the graph kept."""
     if not values.shape[1]:
         return values.sum(dim=1), torch.zeros(len(values), dtype=torch.int64, device=values.device)

@@ -9,12 +9,12 @@ from cloak_core.core.detector.protocol import Detections
 from cloak_core.files.errors import InputError
 
 
-def max_person_score(detections: Detections) -> Float[Tensor, "B"]:
+def max_person_score(detections: Detections) -> Float[Tensor, " B"]:
     """Find the best person score of each image, 0 where there are no boxes; differentiable, without a threshold."""
     return row_max(detections.scores)
 
 
-def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
+def max_objectness(detections: Detections) -> Float[Tensor, " B"]:
     """Find the best objectness over the boxes whose likeliest class is person (the reference's form), 0 where there is
     none.
 
@@ -25,7 +25,7 @@ def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
     return row_max(torch.where(detections.is_person, detections.objectness, 0.0))
 
 
-def is_detected(detections: Detections, threshold: float = THRESHOLD) -> Bool[Tensor, "B"]:
+def is_detected(detections: Detections, threshold: float = THRESHOLD) -> Bool[Tensor, " B"]:
     """Tell whether any person box in the image scores above the threshold."""
     return max_person_score(detections).detach() > threshold
 
@@ -48,7 +48,7 @@ def person_boxes(detections: Detections, threshold: float = THRESHOLD, nms: floa
 
 
 def suppressed(
-    boxes: Float[Tensor, "N 4"], scores: Float[Tensor, "N"], threshold: float, nms: float
+    boxes: Float[Tensor, "N 4"], scores: Float[Tensor, " N"], threshold: float, nms: float
 ) -> Float[Tensor, "n 5"]:
     """Keep one image's boxes above the threshold, after non-maximum suppression at IoU `nms`; best first."""
     from torchvision.ops import nms as kept_by_nms  # its import takes nearly two seconds
@@ -61,7 +61,7 @@ def suppressed(
     return rows[kept_by_nms(corners, rows[:, 4], nms)]
 
 
-def row_max(values: Float[Tensor, "B N"]) -> Float[Tensor, "B"]:
+def row_max(values: Float[Tensor, "B N"]) -> Float[Tensor, " B"]:
     """Find the largest of each row, 0 where rows are empty."""
     # A detector may return no box at all (N = 0); the empty sum is 0 and keeps the graph.
     return values.max(dim=1).values if values.shape[1] else values.sum(dim=1)

@@ -24,7 +24,7 @@ STRIPE = 0.05
 
 
 def control_colors(
-    control: str, trained: Float[np.ndarray, "L 3"], bodies: Bodies, face_ids: Int[np.ndarray, L]
+    control: str, trained: Float[np.ndarray, "L 3"], bodies: Bodies, face_ids: Int[np.ndarray, " L"]
 ) -> Float[np.ndarray, "K L 3"]:
     """Compute the logo's colours under a control that is the same in every image: one set per outfit (K).
 

@@ -47,7 +47,7 @@ def _of_training(boxes: pd.DataFrame, images: int, overlaps: Sequence[float]) ->
     return float(np.mean([average_precision_of(is_hit, score, images) for is_hit in hits]))
 
 
-def first_hits(iou: Float[np.ndarray, N], image: Int64[np.ndarray, N], overlap: float) -> Bool[np.ndarray, N]:
+def first_hits(iou: Float[np.ndarray, " N"], image: Int64[np.ndarray, " N"], overlap: float) -> Bool[np.ndarray, " N"]:
     """Mark each image's first box that overlaps its body with at least `overlap`; an image's boxes come best first."""
     on = np.flatnonzero(iou >= overlap)
     hit = np.zeros(len(iou), bool)
@@ -55,7 +55,7 @@ def first_hits(iou: Float[np.ndarray, N], image: Int64[np.ndarray, N], overlap: 
     return hit
 
 
-def average_precision_of(hit: Bool[np.ndarray, N], score: Float[np.ndarray, N], bodies: int) -> float:
+def average_precision_of(hit: Bool[np.ndarray, " N"], score: Float[np.ndarray, " N"], bodies: int) -> float:
     """Compute the mean, over 101 recalls (0, 0.01 ... 1), of the best precision at this recall or a higher one.
 
     hit: which boxes are true positives; every other one is a false positive. Boxes of equal score keep their order.

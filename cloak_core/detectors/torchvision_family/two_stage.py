@@ -59,9 +59,9 @@ class TwoStageDetector(TorchvisionDetector):
         self,
         deltas: Float[Tensor, "n 4"],
         places: Float[Tensor, "n 4"],
-        scores: Float[Tensor, "n"],
+        scores: Float[Tensor, " n"],
         size: tuple[int, int],
-    ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n"]]:
+    ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, " n"]]:
         """Compute boxes in the network's input, and their scores, 0 for boxes that the model drops."""
         boxes = clip_boxes_to_image(self.model.roi_heads.box_coder.decode_single(deltas, places), size)
         return boxes, scores * ((boxes[:, 2:] - boxes[:, :2]) >= MIN_SIDE).all(dim=-1)
@@ -95,7 +95,7 @@ class TwoStageDetector(TorchvisionDetector):
         features: dict[str, Float[Tensor, "B C _ _"]],
         logits: list[Float[Tensor, "B _ _ _"]],
         deltas: list[Float[Tensor, "B _ _ _"]],
-    ) -> tuple[list[Float[Tensor, "_ 4"]], list[Float[Tensor, "_"]]]:
+    ) -> tuple[list[Float[Tensor, "_ 4"]], list[Float[Tensor, " _"]]]:
         """Choose each image's proposals from `of_anchors`, best first, with their differentiable objectness.
 
         The proposals are constants, as in the model.
@@ -115,7 +115,7 @@ class TwoStageDetector(TorchvisionDetector):
         return proposals, scores
 
     @torch.no_grad()
-    def _keep(self, boxes: Float[Tensor, "A 4"], scores: Float[Tensor, "A"], counts: list[int]) -> Int[Tensor, "n"]:
+    def _keep(self, boxes: Float[Tensor, "A 4"], scores: Float[Tensor, " A"], counts: list[int]) -> Int[Tensor, " n"]:
         """Choose the anchors that become proposals: the best per level, after suppression within levels."""
         rpn = self.model.rpn
         picked, levels, offset = [], [], 0

@@ -27,6 +27,7 @@ from cloak_core.studies.report.charts import Lines, Rows, group
 from cloak_core.studies.report.words import short_names
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.wearing.clothes import PictureClothes, cloth_spec, read_clothes
+from cloak_core.studies.wearing.patterns import pattern_specs
 
 LEAST_IMAGES = 300
 """Of each evaluation, so that a difference of two points in clean recall shows."""

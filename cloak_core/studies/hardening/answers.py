@@ -26,7 +26,7 @@ class Answer(NamedTuple):
     trust: Float[Tensor, "B A"] | None = None
     """A logit whose probability every class's is multiplied by (FCOS' centre-ness)."""
 
-    def of(self, rows: Int[Tensor, b]) -> Answer:
+    def of(self, rows: Int[Tensor, " b"]) -> Answer:
         """The answers of these images."""
         return Answer(*(None if part is None else part[rows] for part in self))
 
@@ -43,8 +43,8 @@ class Reading(NamedTuple):
 
 
 def answer_distance(
-    said: Answer, wanted: Answer, reading: Reading, surer: Bool[Tensor, B] | None = None, sure: float = 0.0
-) -> Float[Tensor, B]:
+    said: Answer, wanted: Answer, reading: Reading, surer: Bool[Tensor, " B"] | None = None, sure: float = 0.0
+) -> Float[Tensor, " B"]:
     """0 where both are equal and nothing is to be surer.
 
     surer: images in which a place that is reported as a person is to give the class a probability of at least `sure`.
@@ -72,7 +72,7 @@ def _probabilities(kinds: Float[Tensor, "B A K"], reading: Reading) -> Float[Ten
     return kinds.softmax(-1) if reading.softmax else kinds.sigmoid()
 
 
-def _surer(wanted: Answer, reading: Reading, surer: Bool[Tensor, B], sure: float) -> Answer:
+def _surer(wanted: Answer, reading: Reading, surer: Bool[Tensor, " B"], sure: float) -> Answer:
     """The answer with the persons in it that are reported raised to the probability `sure`."""
     kinds, trust, person = wanted.kinds.clone(), wanted.trust, reading.person
     score = _probabilities(kinds, reading)[..., person]

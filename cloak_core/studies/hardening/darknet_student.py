@@ -49,16 +49,16 @@ class DarknetStudent(Student):
             return detector.network(inputs.contiguous(memory_format=detector.memory_format))
 
     @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> list[Float[Tensor, "B _ _ _"]]:
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> list[Float[Tensor, "B _ _ _"]]:
         return [raw[rows] for raw in self.maps(self.teacher, images)]
 
     def distance(
         self,
         images: Float[Tensor, "B 3 H W"],
         wanted: list[Float[Tensor, "B _ _ _"]],
-        surer: Bool[Tensor, B] | None = None,
+        surer: Bool[Tensor, " B"] | None = None,
         sure: float = 0.0,
-    ) -> Float[Tensor, B]:
+    ) -> Float[Tensor, " B"]:
         own = self.detector
         said = self.maps(own, images)
         return distance(own.network.heads, said, wanted, own.person, surer, sure, own.operating_point)

@@ -82,7 +82,7 @@ def random_texture(rng: np.random.Generator, picture: Callable[[], Float[Tensor,
     return _enlarged(print_of.numpy()[list(rng.permutation(3))], "bilinear")
 
 
-def _enlarged(cells: np.ndarray, mode: str) -> Texture:
+def _enlarged(cells: np.ndarray, mode: str) -> Float32[np.ndarray, "c t t"]:
     image = torch.from_numpy(cells.astype(np.float32))[None]
     return F.interpolate(image, (TEXTURE, TEXTURE), mode=mode)[0].numpy()
 

@@ -29,10 +29,10 @@ def distance(
     said: Sequence[Float[Tensor, "B _ _ _"]],
     wanted: Sequence[Float[Tensor, "B _ _ _"]],
     person: int,
-    surer: Bool[Tensor, B] | None = None,
+    surer: Bool[Tensor, " B"] | None = None,
     sure: float = 0.0,
     found_at: float = 0.5,
-) -> Float[Tensor, B]:
+) -> Float[Tensor, " B"]:
     """The student's raw maps against the teacher's, an entry for each head; 0 where they are equal and nothing is
     to be `surer`.
 
@@ -50,10 +50,10 @@ def _head_distance(
     ours: Float[Tensor, "B C h w"],
     theirs: Float[Tensor, "B C h w"],
     person: int,
-    surer: Bool[Tensor, B] | None,
+    surer: Bool[Tensor, " B"] | None,
     sure: float,
     found_at: float,
-) -> Float[Tensor, B]:
+) -> Float[Tensor, " B"]:
     mine, goal = head.split(ours), head.split(theirs)
     objectness = probability(head, goal[:, :, 4])
     classes = _class_probabilities(head, goal[:, :, 5:])

@@ -45,16 +45,16 @@ class OnnxStudent(Student):
         return answer_of(scores, decoded.boxes)
 
     @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Answer:
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer:
         return self.answer(self.teacher, images).of(rows)
 
     def distance(
         self,
         images: Float[Tensor, "B 3 H W"],
         wanted: Answer,
-        surer: Bool[Tensor, B] | None = None,
+        surer: Bool[Tensor, " B"] | None = None,
         sure: float = 0.0,
-    ) -> Float[Tensor, B]:
+    ) -> Float[Tensor, " B"]:
         own = self.detector
         return score_distance(self.answer(own, images), wanted, own.person, own.operating_point, surer, sure)
 

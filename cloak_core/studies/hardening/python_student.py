@@ -66,16 +66,16 @@ class PythonStudent(Student):
         return self.detector.module
 
     @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Answer:
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer:
         return _answer(self.teacher.detect(images)).of(rows)
 
     def distance(
         self,
         images: Float[Tensor, "B 3 H W"],
         wanted: Answer,
-        surer: Bool[Tensor, B] | None = None,
+        surer: Bool[Tensor, " B"] | None = None,
         sure: float = 0.0,
-    ) -> Float[Tensor, B]:
+    ) -> Float[Tensor, " B"]:
         own = self.detector
         with torch.autocast(images.device.type, torch.bfloat16, enabled=own.precision == "bfloat16"):
             answer = _answer(own.detect(images))

@@ -23,9 +23,9 @@ def score_distance(
     teacher: Answer,
     person: int,
     found_at: float,
-    surer: Bool[Tensor, B] | None = None,
+    surer: Bool[Tensor, " B"] | None = None,
     sure: float = 0.0,
-) -> Float[Tensor, B]:
+) -> Float[Tensor, " B"]:
     """Compare two answers: each class by itself, corners in units of the box's mean side.
 
     person: its class; found_at: the score at which it is reported; surer and sure: see `answer_distance`.

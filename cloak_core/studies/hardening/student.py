@@ -40,7 +40,7 @@ class Student(ABC):
         """What learns and is written."""
 
     @abstractmethod
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Any:
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Any:
         """What the teacher says of images, for `distance`: its k-th image is to be answered as images[rows[k]] is."""
 
     @abstractmethod
@@ -48,9 +48,9 @@ class Student(ABC):
         self,
         images: Float[Tensor, "B 3 H W"],
         wanted: Any,
-        surer: Bool[Tensor, B] | None = None,
+        surer: Bool[Tensor, " B"] | None = None,
         sure: float = 0.0,
-    ) -> Float[Tensor, B]:
+    ) -> Float[Tensor, " B"]:
         """How far the student's answers are from those wanted; 0 where they are equal and nothing is to be surer.
 
         surer: images in which what the teacher reports as a person is to get a score of at least about `sure`.

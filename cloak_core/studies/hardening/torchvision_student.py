@@ -66,16 +66,16 @@ class DenseStudent(TorchvisionStudent):
         return Answer(outputs["cls_logits"], outputs["bbox_regression"].unsqueeze(2), trust)
 
     @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Answer:
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer:
         return self.said(self.teacher, images).of(rows)
 
     def distance(
         self,
         images: Float[Tensor, "B 3 H W"],
         wanted: Answer,
-        surer: Bool[Tensor, B] | None = None,
+        surer: Bool[Tensor, " B"] | None = None,
         sure: float = 0.0,
-    ) -> Float[Tensor, B]:
+    ) -> Float[Tensor, " B"]:
         point = self.detector.operating_point
         # FCOS' score is the root of the product.
         found_at = point**2 if isinstance(self.detector.model, FCOS) else point
@@ -100,7 +100,7 @@ class TwoStageStudent(TorchvisionStudent):
     teacher: TwoStageDetector
 
     @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Stages:
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Stages:
         teacher = self.teacher
         with self.autocast(images):
             batch, _ = teacher.prepare(images)
@@ -118,9 +118,9 @@ class TwoStageStudent(TorchvisionStudent):
         self,
         images: Float[Tensor, "B 3 H W"],
         wanted: Stages,
-        surer: Bool[Tensor, B] | None = None,
+        surer: Bool[Tensor, " B"] | None = None,
         sure: float = 0.0,
-    ) -> Float[Tensor, B]:
+    ) -> Float[Tensor, " B"]:
         own = self.detector
         with self.autocast(images):
             batch, _ = own.prepare(images)

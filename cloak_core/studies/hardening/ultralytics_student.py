@@ -42,7 +42,7 @@ class UltralyticsStudent(Student):
             return detector.network(inputs)
 
     @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, B]) -> Answer | list[Tensor]:
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer | list[Tensor]:
         maps = self.maps(self.teacher, images)
         if isinstance(self.teacher.network.model[-1], AnchorHead):
             return [raw[rows] for raw in maps]
@@ -52,9 +52,9 @@ class UltralyticsStudent(Student):
         self,
         images: Float[Tensor, "B 3 H W"],
         wanted: Answer | list[Tensor],
-        surer: Bool[Tensor, B] | None = None,
+        surer: Bool[Tensor, " B"] | None = None,
         sure: float = 0.0,
-    ) -> Float[Tensor, B]:
+    ) -> Float[Tensor, " B"]:
         own, maps = self.detector, self.maps(self.detector, images)
         head, point = own.network.model[-1], own.operating_point
         if isinstance(head, AnchorHead):

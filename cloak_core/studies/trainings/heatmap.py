@@ -30,7 +30,7 @@ def heatmap(
     size: int = 416,
     device: str | torch.device = "cpu",
     on_progress: Callable[[int, int], None] | None = None,
-) -> Float[np.ndarray, "F"]:
+) -> Float[np.ndarray, " F"]:
     """Average the size of the gradient of an image's person score by each face's colour.
 
     Size: absolute values summed over channels; mean over every pose from every angle (azimuths, degrees), each on

@@ -28,12 +28,12 @@ def test_equal_answers_are_no_distance_apart_and_others_are(reading: Reading) ->
     assert torch.equal(turned.boxes[0], same.boxes[1])
 
 
-@pytest.mark.parametrize("reading", KINDS)
-@pytest.mark.parametrize("part", range(3))
+@pytest.mark.parametrize(
+    ("reading", "part"),
+    [(reading, part) for reading in KINDS for part in range(3) if answer(reading, 0)[part] is not None],
+)
 def test_every_part_of_the_answer_counts(reading: Reading, part: int) -> None:
     wanted = answer(reading, 0)
-    if wanted[part] is None:
-        pytest.skip("this kind has none")
     changed = list(wanted)
     changed[part] = changed[part] * 0.5
     assert float(answer_distance(Answer(*changed), wanted, reading).min()) > 0.1
