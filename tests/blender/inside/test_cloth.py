@@ -3,18 +3,28 @@
 import json
 import os
 import struct
+import subprocess
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, mesh_arrays
+from cloak.body import garments
 from cloak.body import objects as body
-from cloak.result import bake, render_check
+from cloak.body.samples import ASSETS
+from cloak.exchange.colors import write_colors
+from cloak.exchange.face_lists import read_face_list
+from cloak.exchange.scenes import read_scene
+from cloak.poses.export import export
+from cloak.poses.poses import PoseChoice
+from cloak.result import bake, eye, render_check
+from cloak.session import session
 from cloak.training import runs
-from conftest import MODULE, elsewhere
-from made import make_egg, set_mode
+from conftest import MODULE, ROOT, elsewhere
+from made import add_camera, make_egg, set_mode
 from test_colors import made_run
+from test_eye import asked, watch
 from test_marks import users_colors
 
 SQUARES, METRES = 8, 0.4
@@ -90,6 +100,62 @@ def test_a_render_shows_the_square_that_the_trainer_sees(tmp_path):
     x, z = np.meshgrid(place, place)
     off = np.abs(seen_pixels(tmp_path / "wall.png", side) - wanted_at(x, z, squares)).max(-1)
     assert (off <= 1.001 / 255).mean() > 0.9995, "but for a pixel that is cut by the side of a square"
+
+
+CORE = """
+import sys
+import numpy as np
+import torch
+from cloak_core.core.baking import on_cloth
+from cloak_core.core.cameras import Camera
+from cloak_core.core.logo import load_logo
+from cloak_core.core.paint import compose
+from cloak_core.core.visibility.settings import Light, RenderSettings
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.printed_cloth import cloth_of_run
+from pathlib import Path
+scene, run, out, distance, side = *sys.argv[1:4], float(sys.argv[4]), int(sys.argv[5])
+bodies = load_scene(scene).select_poses([0])
+logo = load_logo(bodies, Path(run, "logo.npy"))
+settings = RenderSettings(light=Light(ambient=1.0, diffuse=0.0, specular=0.0))
+camera = Camera(azimuth=0.0, distance=distance, width=side, height=side)
+view = ViewCache(bodies, settings, on_cloth=True).bake(0, camera, logo.face_ids)
+cloth = cloth_of_run(Path(run))
+grey = torch.full((1, 3, side, side), 0.5)
+worn = compose([on_cloth(view, cloth.cloth)], torch.from_numpy(cloth.colors), grey, None, None)[0]
+nobody = compose([on_cloth(view, cloth.cloth)], torch.zeros(len(cloth.colors), 3), grey, None, None)[0]
+np.savez(out, worn=worn.permute(1, 2, 0).numpy(), logo=(nobody == 0).all(0).numpy())
+"""
+"""The trainer's view of the cloth under even light."""
+
+
+def test_a_body_in_a_ready_cloth_looks_as_the_trainer_renders_it(tmp_path, monkeypatch):
+    """On the sample body, near enough that a square of the cloth is three pixels wide."""
+    distance, side = 0.6, 832
+    bpy.context.scene.cloak.output = str(tmp_path / "runs")
+    bpy.ops.cloak.ready_cloak(cloak="transfer-people")
+    obj, set_up = bpy.context.object, render_check.set_up
+    run = runs.run_of(obj)
+
+    def sharp(scene: bpy.types.Scene, size: int, samples: int) -> None:
+        set_up(scene, size, samples)
+        scene.render.filter_size, scene.render.dither_intensity = 0.01, 0
+
+    monkeypatch.setattr(render_check, "set_up", sharp)
+    monkeypatch.setattr(render_check, "DISTANCE", distance)
+    render_check.render_view(obj, tmp_path / "blender.png", 0.0, side, 8)
+    (tmp_path / "core.py").write_text(CORE)
+    words = [str(ASSETS / "sample"), str(run), str(tmp_path / "core.npz"), str(distance), str(side)]
+    command = [os.environ["CLOAK_TRAINER"], str(tmp_path / "core.py"), *words]
+    subprocess.run(command, check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    core = np.load(tmp_path / "core.npz")
+    shown, logo = seen_pixels(tmp_path / "blender.png", side)[::-1], core["logo"]
+    off = np.abs(shown - core["worn"]).max(-1)[logo]
+    aside = np.abs(np.roll(shown, 3, 1) - core["worn"]).max(-1)[logo]
+    means = np.abs(shown - core["worn"][logo].mean(0)).max(-1)[logo]
+    assert logo.mean() > 0.2
+    assert np.median(off) < 2 / 255 and off.mean() < 0.15 * min(aside.mean(), means.mean())
 
 
 def test_the_logo_shows_the_picture_and_the_rest_its_own_material(clothed):
@@ -207,9 +273,6 @@ def test_live_colours_show_the_cloth_as_it_is_now(tmp_path):
 
 def test_it_lies_as_in_the_first_pose_of_the_training(tmp_path):
     """Whatever pose the body has when the colours come back."""
-    from cloak.poses.export import export
-    from cloak.poses.poses import PoseChoice
-
     obj = wall(0.4)
     obj.data.attributes.new("logo", "BOOLEAN", "FACE").data.foreach_set("value", np.ones(9, bool))
     run = cloth_run(tmp_path, obj, np.arange(9), random_squares())
@@ -286,3 +349,45 @@ def test_what_is_wrong_with_a_cloth_is_said_and_nothing_is_changed(tmp_path):
     set_mode("EDIT")
     with pytest.raises(RuntimeError, match="Leave Edit Mode"):
         bpy.ops.cloak.result_load()
+
+
+def test_the_eye_asks_for_the_cloth_in_the_pose_of_the_training(stub, clothed):
+    obj, _, _ = clothed
+    bpy.context.scene.cloak.judging.eye_from = "CAMERA"
+    add_camera((0, -3, 0.9))
+    bpy.ops.cloak.eye()
+    try:
+        watch(lambda: session.eye.seen is not None)
+        assert asked()["cloth"] == str(runs.run_of(obj)) and asked()["pose"] == 1
+        bodies = read_scene(Path(bpy.app.tempdir, "cloak eye", "scene"))
+        assert bodies.pose_count == 2 and bodies.names[0] == "laid out"
+        (runs.run_of(obj) / "cloth.png").unlink()
+        obj.location.z = 0.25
+        bpy.context.view_layer.update()
+        watch(lambda: "cloth" not in asked())
+    finally:
+        eye.close_eye()
+
+
+def test_a_garment_wears_its_part_of_the_cloth(tmp_path):
+    """In an export that numbers body and garment through, each has its own corners."""
+    obj = make_egg()
+    shirt = wall(0.4)
+    shirt.parent = obj
+    bpy.context.view_layer.objects.active = obj
+    for one in (obj, shirt):
+        count = len(one.data.polygons)
+        one.data.attributes.new("logo", "BOOLEAN", "FACE").data.foreach_set("value", np.ones(count, bool))
+    run = tmp_path / "run"
+    done = export(bpy.context, obj, "logo", PoseChoice(), runs.input_folder(run))
+    made_run(tmp_path, obj, [0], np.zeros((1, 3), np.float32)).rename(run)
+    ids = read_face_list(done.face_list).ids
+    write_colors(run / "colors.npy", np.full((len(ids), 3), 0.5, np.float32))
+    save_picture(run / "cloth.png", random_squares())
+    (run / "config.json").write_text(json.dumps({"settings": {"tile_cm": 100 * METRES}}))
+    runs.import_colors(bpy.context, obj, run)
+    assert leftovers()[2] == ["cloak.cloth", "UVMap", "cloak.cloth"]
+    uv = mesh_arrays.read(shirt.data.uv_layers["cloak.cloth"].uv, "vector", 2)
+    assert np.allclose([uv.min(0), uv.max(0)], [[-0.5, -0.5], [0.5, 0.5]], atol=1e-5)
+    garments.undress(obj)
+    assert leftovers() == ([], [], ["UVMap"])
