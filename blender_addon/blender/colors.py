@@ -360,6 +360,13 @@ def light_reason(space: bpy.types.Space | None) -> str:
     return "Studio light in Solid view changes the trained colours"
 
 
+def solid_reason(obj: bpy.types.Object, space: bpy.types.Space | None) -> str:
+    """Why a viewport shows a cloth coarser than it is printed; "" where it does not."""
+    if space is None or space.type != "VIEW_3D" or space.shading.type != "SOLID" or worn_cloth(obj.data)[0] is None:
+        return ""
+    return "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"
+
+
 def use_standard_view(scene: bpy.types.Scene) -> None:
     """Colour management that shows sRGB colours as they are."""
     scene.display_settings.display_device = "sRGB"

@@ -30,6 +30,8 @@ def read_cloth(obj: bpy.types.Object, run: Path, scene: Path | None, first: int 
     if not is_cloth(run):
         return None
     width, bodies = cloth_metres(run), first_pose(obj, scene)
+    if bodies.face_count == len(obj.data.polygons):  # these are the object's own faces alone
+        first = 0
     before = int(bodies.loop_total[:first].sum())
     image = load_picture(run / CLOTH_FILE)
     uv = corner_uv(bodies, width, width * image.size[1] / image.size[0])

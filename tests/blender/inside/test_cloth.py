@@ -5,11 +5,12 @@ import os
 import struct
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, mesh_arrays
+from cloak.blender import colors, faces, mesh_arrays
 from cloak.body import garments
 from cloak.body import objects as body
 from cloak.body.samples import ASSETS
@@ -21,6 +22,7 @@ from cloak.poses.poses import PoseChoice
 from cloak.result import bake, eye, render_check
 from cloak.session import session
 from cloak.training import runs
+from cloak.training.run_states import read_state
 from conftest import MODULE, ROOT, elsewhere
 from made import add_camera, make_egg, set_mode
 from test_colors import made_run
@@ -193,6 +195,51 @@ def test_nothing_of_a_cloth_stays_when_it_is_off(clothed, tmp_path):
     (tmp_path / "other").mkdir()
     runs.import_colors(bpy.context, obj, made_run(tmp_path / "other", obj, [3], np.float32([[1, 0, 0]])))
     assert leftovers() == ([], [], []) and colors.is_dressed(obj), "another run, of colours of faces"
+
+
+def test_any_picture_is_worn_as_cloth(tmp_path):
+    obj, squares = wall(0.4), random_squares()[:4]
+    obj.data.attributes.new("logo", "BOOLEAN", "FACE").data.foreach_set("value", np.arange(9) != 4)
+    save_picture(tmp_path / "print.png", squares)
+    bpy.context.scene.cloak.output = str(tmp_path / "runs")
+    bpy.ops.cloak.cloth_picture(filepath=str(tmp_path / "print.png"), width=METRES)
+    run = runs.run_of(obj)
+    image, worn = colors.worn_cloth(obj.data)
+    assert run.name == "Grid print" and np.flatnonzero(~worn).tolist() == [4] and read_state(run).state == "done"
+    assert np.abs(mesh_arrays.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
+    uv = mesh_arrays.read(obj.data.uv_layers["cloak.cloth"].uv, "vector", 2)
+    assert np.allclose([uv.min(0), uv.max(0)], [[-0.5, -1], [0.5, 1]], atol=1e-5), "half as high as it is wide"
+    bpy.ops.cloak.result_toggle()
+    bpy.ops.cloak.result_toggle()
+    assert leftovers()[0] == ["cloak.cloth"]
+    folder = str(tmp_path / "nothing.png")
+    for wrong, words in ((folder, "nothing.png: "), (str(run / "config.json"), "not a picture that Blender can read")):
+        with pytest.raises(RuntimeError, match=words):
+            bpy.ops.cloak.cloth_picture(filepath=wrong)
+    assert len(list((tmp_path / "runs").iterdir())) == 2, "the run and its input"
+
+
+@pytest.mark.parametrize("modifier", ["TRIANGULATE", "SUBSURF"])
+def test_a_picture_goes_onto_bodies_whose_modifiers_make_faces(tmp_path, modifier):
+    obj = make_egg(12)
+    obj.modifiers.new("more", modifier)
+    faces.new_logo(obj, "logo", np.arange(len(obj.data.polygons)) < 50)
+    save_picture(tmp_path / "print.png", np.full((2, 2, 3), 0.2, np.float32))
+    bpy.context.scene.cloak.output = str(tmp_path / "runs")
+    bpy.ops.cloak.cloth_picture(filepath=str(tmp_path / "print.png"), width=METRES)
+    assert colors.worn_cloth(obj.data)[1].sum() == 50
+    assert np.abs(colors.written_colors(obj)[:50] - 0.2).max() < 1.01 / 255
+
+
+def test_a_solid_viewport_is_told_to_be_coarser(clothed):
+    obj, _, _ = clothed
+    space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID"))
+    assert "Material Preview" in colors.solid_reason(obj, space)
+    space.shading.type = "MATERIAL"
+    assert colors.solid_reason(obj, space) == colors.solid_reason(obj, None) == ""
+    colors.undress(obj)
+    space.shading.type = "SOLID"
+    assert colors.solid_reason(obj, space) == ""
 
 
 def test_a_map_of_the_users_stays_the_active_one(tmp_path):
@@ -369,11 +416,14 @@ def test_the_eye_asks_for_the_cloth_in_the_pose_of_the_training(stub, clothed):
         eye.close_eye()
 
 
-def test_a_garment_wears_its_part_of_the_cloth(tmp_path):
+@pytest.mark.parametrize("modifier", ["", "SUBSURF"])
+def test_a_garment_wears_its_part_of_the_cloth(tmp_path, modifier):
     """In an export that numbers body and garment through, each has its own corners."""
     obj = make_egg()
     shirt = wall(0.4)
     shirt.parent = obj
+    if modifier:  # there are no polygons of the meshes in the export then
+        shirt.modifiers.new("more", modifier)
     bpy.context.view_layer.objects.active = obj
     for one in (obj, shirt):
         count = len(one.data.polygons)
