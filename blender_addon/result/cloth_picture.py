@@ -66,7 +66,7 @@ def write_run(run: Path, done: Export, pixels: np.ndarray, metres: float, made_f
     bodies, ids = read_scene(done.scene), read_face_list(done.face_list).ids
     source, _, topology = made_from.partition("|")
     config = {"format": "cloak run", "topology": bodies.topology, "detectors": []}
-    config["settings"] = {"pattern": "tile", "tile_cm": 100 * metres}
+    config["settings"] = {"pattern": "tile", "tile_cm": round(100 * metres, 4)}
     config["inputs"] = {"made_from": source} if topology == bodies.topology else {}
     with new_folder(run) as folder:
         _save(pixels, folder / CLOTH_FILE)
