@@ -23,6 +23,7 @@ from .ui import drawing
 WITH_CLASSES = (
     *("trainer.operators", "body.operators", "logo.operators", "logo.pick", "logo.paint", "logo.stamp_operators"),
     *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.try_it"),
+    "result.cloth_picture",
     *("body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel", "result.wear"),
 )
 """Modules whose classes are registered, in the order of the panels."""

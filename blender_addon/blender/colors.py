@@ -12,7 +12,9 @@ import numpy as np
 from ..session import session
 from ..ui.window import areas
 from . import mesh_arrays as arrays
+from .cloth import Cloth, cloth_of, show_on, take_off
 from .marks import (
+    CLOTH,
     COLORS,
     HEATMAP,
     MATERIAL,
@@ -146,16 +148,41 @@ def new_material(title: str, kind: str, unlit: bool = False) -> tuple[bpy.types.
     return material, source
 
 
-def cloak_material(mesh: bpy.types.Mesh, look: str) -> bpy.types.Material:
-    """The material of a look: the trained colours as they are, or on a matte cloth that light falls on."""
-    return attribute_material(layer_name(mesh, COLORS), look, LOOKS[look], unlit=look == SEEN)
+def cloak_material(mesh: bpy.types.Mesh, look: str, image: bpy.types.Image | None = None) -> bpy.types.Material:
+    """The material of a look: the trained colours as they are, or on a matte cloth that light falls on.
+
+    image: of a cloth that repeats, shown on our UV map; None: the colours of the faces.
+    """
+    if image is None:
+        return attribute_material(layer_name(mesh, COLORS), look, LOOKS[look], unlit=look == SEEN)
+    material, texture = new_material(LOOKS[look], "ShaderNodeTexImage", unlit=look == SEEN)
+    show_on(material, texture, image, layer_name(mesh, CLOTH))
+    texture.interpolation, texture.extension = "Closest", "REPEAT"
+    material[MATERIAL] = look
+    return material
+
+
+def is_cloak(material: bpy.types.Material | None) -> bool:
+    """Whether a material is one of the looks."""
+    return material is not None and material.get(MATERIAL) in LOOKS
 
 
 def set_look(obj: bpy.types.Object, look: str) -> None:
     """Show a cloak that the object wears through the material of a look."""
     slot = _cloak_slot(obj.data)
     if slot is not None:
-        obj.data.materials[slot] = cloak_material(obj.data, look)
+        before = obj.data.materials[slot]
+        obj.data.materials[slot] = cloak_material(obj.data, look, cloth_of(before))
+        if cloth_of(before) and not before.users:
+            bpy.data.materials.remove(before)
+
+
+def worn_cloth(mesh: bpy.types.Mesh) -> tuple[bpy.types.Image | None, np.ndarray]:
+    """The cloth that a mesh wears, None where it wears none, and a mask [F] of the faces that wear the cloak."""
+    slot, slots = _cloak_slot(mesh), _read_slots(mesh)
+    if slot is None:
+        return None, np.zeros(len(slots), bool)
+    return cloth_of(mesh.materials[slot]), slots == slot
 
 
 def nodes_of(owner: bpy.types.Material | bpy.types.World) -> tuple:
@@ -170,25 +197,30 @@ def _shows_attribute(material: bpy.types.Material, name: str) -> bool:
     return any(node.bl_idname == "ShaderNodeVertexColor" and node.layer_name == name for node in nodes)
 
 
-def dress(obj: bpy.types.Object, face_ids: np.ndarray) -> None:
-    """Give the logo's faces the cloak material and remember the slot each face had before."""
+def dress(obj: bpy.types.Object, face_ids: np.ndarray, cloth: Cloth | None = None) -> None:
+    """Give the logo's faces the cloak material, which shows a cloth if there is one; remember each face's slot."""
     undress(obj)
     mesh, look = obj.data, bpy.context.scene.cloak.look
     if not mesh.materials:
         mesh.materials.append(None)  # faces without a material use slot 0, which must stay plain
     if _cloak_slot(mesh) is None:
-        mesh.materials.append(cloak_material(mesh, look))
-    set_look(obj, look)
+        mesh.materials.append(None)
+    slot = len(mesh.materials) - 1 if _cloak_slot(mesh) is None else _cloak_slot(mesh)
+    mesh.materials[slot] = cloak_material(mesh, look, cloth and cloth.lay(obj))
     slots = _read_slots(mesh)
     make_layer(obj, OWN_MATERIAL).data.foreach_set("value", slots)
-    slots[face_ids] = _cloak_slot(mesh)
+    slots[face_ids] = slot
     write_attribute(mesh, SLOTS, "INT", slots)
 
 
 def undress(obj: bpy.types.Object) -> None:
-    """Give faces that wear the cloak material their own material back."""
-    if _cloak_slot(obj.data) is not None and layer_name(obj.data, OWN_MATERIAL):
-        write_attribute(obj.data, SLOTS, "INT", own_material_slots(obj))
+    """Give faces that wear the cloak material their own material back; of a cloth nothing stays in the file."""
+    mesh, slot = obj.data, _cloak_slot(obj.data)
+    if slot is not None and layer_name(mesh, OWN_MATERIAL):
+        write_attribute(mesh, SLOTS, "INT", own_material_slots(obj))
+    if slot is not None and cloth_of(worn := mesh.materials[slot]):
+        mesh.materials[slot] = cloak_material(mesh, worn[MATERIAL])
+        take_off(mesh, worn)
 
 
 def is_dressed(obj: bpy.types.Object) -> bool:
@@ -220,7 +252,7 @@ def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
 
 
 def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
-    shown = (index for index, m in enumerate(mesh.materials) if m is not None and m.get(MATERIAL) in LOOKS)
+    shown = (index for index, material in enumerate(mesh.materials) if is_cloak(material))
     return next(shown, None)
 
 
@@ -326,6 +358,13 @@ def light_reason(space: bpy.types.Space | None) -> str:
     if shading is None or shading.type != "SOLID" or shading.light == "FLAT":
         return ""
     return "Studio light in Solid view changes the trained colours"
+
+
+def solid_reason(obj: bpy.types.Object, space: bpy.types.Space | None) -> str:
+    """Why a viewport shows a cloth coarser than it is printed; "" where it does not."""
+    if space is None or space.type != "VIEW_3D" or space.shading.type != "SOLID" or worn_cloth(obj.data)[0] is None:
+        return ""
+    return "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"
 
 
 def use_standard_view(scene: bpy.types.Scene) -> None:

@@ -11,6 +11,8 @@ import itertools
 import bpy
 from bpy.app.handlers import persistent
 
+from ..files.errors import InputError
+
 PREFIX, MATERIAL = "cloak.", "cloak.role"
 COLORS, OUTFIT, HEATMAP = "colors", "outfit", "heatmap"
 """Colour attributes: the trained colours; the plain clothing of bodies from a scene package; the heat map's colours."""
@@ -19,12 +21,13 @@ OWN_MATERIAL = "own_material"  # the material slot that each face had before it 
 ORIGINAL_FACE = "original_face"  # the face that each one came from when the body was first subdivided
 CARRIED = "carried_face"  # for the time of an export: each own face's number, counted from 1
 UV_MAP = "uv"  # a square of an image for each face
+CLOTH = "cloth"  # the corners' places on a cloth that repeats
 SHOWN_BEFORE = "shown_before"  # no layer of ours: the colour attribute that the mesh showed before ours
 KINDS = {
     **dict.fromkeys((COLORS, OUTFIT, HEATMAP), ("CORNER", "FLOAT_COLOR")),
     **dict.fromkeys((OWN_MATERIAL, ORIGINAL_FACE, CARRIED), ("FACE", "INT")),
     HEAT: ("FACE", "FLOAT"),
-    UV_MAP: ("CORNER", "FLOAT2"),
+    **dict.fromkeys((UV_MAP, CLOTH), ("CORNER", "FLOAT2")),
 }
 """Domain and type of a layer by its role; "outfit.2" is a second outfit."""
 FORMER = {
@@ -73,6 +76,20 @@ def make_layer(obj: bpy.types.Object, role: str) -> bpy.types.Attribute:
         domain, kind = KINDS[role.partition(".")[0]]
         mark(mesh, role, mesh.attributes.new(free_name(obj, role), kind, domain).name)
     return layer_of(mesh, role)
+
+
+def make_uv_map(obj: bpy.types.Object, role: str) -> bpy.types.MeshUVLoopLayer:
+    """Our UV map in a role, made and marked where the mesh has none; a map of the user's stays the active one."""
+    mesh = obj.data
+    if not layer_name(mesh, role):
+        shown = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
+        layer = mesh.uv_layers.new(name=free_name(obj, role), do_init=False)
+        if layer is None:
+            raise InputError("The mesh has as many UV maps as Blender allows: delete one")
+        mark(mesh, role, layer.name)
+        if shown:
+            mesh.uv_layers.active = mesh.uv_layers[shown]
+    return mesh.uv_layers[layer_name(mesh, role)]
 
 
 def mark(mesh: bpy.types.Mesh, role: str, name: str) -> None:

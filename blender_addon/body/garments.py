@@ -13,6 +13,7 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from ..blender import colors
+from ..blender.cloth import Cloth
 from ..blender.evaluated import read_surface
 from ..blender.faces import logo_mask
 from ..blender.marks import COLORS
@@ -127,16 +128,25 @@ def undress(obj: bpy.types.Object) -> None:
         colors.show_own(worn)
 
 
-def write_worn(garments: list[Garment], ids: np.ndarray, values: np.ndarray, dress: bool) -> None:
-    """Write the garments' part of the colours [L, 3] of faces [L]; with `dress` also assign the cloak's material."""
+def write_worn(
+    garments: list[Garment],
+    ids: np.ndarray,
+    values: np.ndarray,
+    cloth_on: Callable[[bpy.types.Object, int], Cloth | None] | None,
+) -> None:
+    """Write the garments' part of the colours [L, 3] of faces [L].
+
+    cloth_on: the cloth that is worn, on an object whose faces the export numbers from the second argument on; where
+    given, also assign the cloak's material.
+    """
     for obj, garment in [(_worn_object(g), g) for g in garments]:  # all of them are there, or nothing is written
         mine = (ids >= garment.first) & (ids < garment.first + garment.faces)
         local = ids[mine] - garment.first
         worn = colors.own_face_colors(obj)
         worn[local] = values[mine]
         colors.write_face_colors(obj, COLORS, worn)
-        if dress:
-            colors.dress(obj, local)
+        if cloth_on is not None:
+            colors.dress(obj, local, cloth_on(obj, garment.first))
             colors.activate(obj, COLORS)
 
 

@@ -12,7 +12,8 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.marks import COLORS, UV_MAP, free_name, layer_name, mark
+from ..blender.cloth import show_on, worn_pixels
+from ..blender.marks import COLORS, UV_MAP, layer_name, make_uv_map, our_names
 from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, require_object_mode, triangle_corners
 from ..blender.occlusion import depth_buffer
 from ..files.errors import InputError
@@ -41,8 +42,9 @@ def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambd
     if not layer_name(mesh, COLORS):
         raise InputError(f"'{obj.name}' wears no trained colours: press Load Colours first")
     wanted, before = colors.written_colors(obj), None
-    ours = layer_name(mesh, UV_MAP)
-    users = next((layer for layer in (mesh.uv_layers.active, *mesh.uv_layers) if layer and layer.name != ours), None)
+    ours = our_names(mesh)
+    maps = (layer for layer in (mesh.uv_layers.active, *mesh.uv_layers) if layer and layer.name not in ours)
+    users = next(maps, None)
     if users is not None and uv_area(mesh, users.name) > MOST_AREA:
         users = None
     if users is not None:
@@ -57,6 +59,7 @@ def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambd
         pixels = squares(len(wanted), size, wanted)
         show(0.6)
         off = faces_off(mesh, name, pixels, wanted)
+    _sew(mesh, name, pixels)
     image = bpy.data.images.new(f"{obj.name} cloak", size, size, alpha=True)
     image.pixels.foreach_set(pixels.ravel())
     show(0.8)
@@ -91,6 +94,24 @@ def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) ->
     return _spread(pixels)
 
 
+def _sew(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray) -> None:
+    """Where the mesh wears a cloth, give the texels of its faces [S, S, 4] the cloth's colours for the faces' means."""
+    image, worn = colors.worn_cloth(mesh)
+    if image is None:
+        return
+    corners, face = triangle_corners(mesh)
+    corners = corners[worn[face]]
+    places = read(mesh.uv_layers[uv_map].uv, "vector", 2)[corners].astype(float) * len(pixels)
+    triangle = rasterize(places / len(pixels), np.arange(len(corners)), len(pixels))
+    y, x = np.nonzero(triangle >= 0)
+    triangle = triangle[y, x]
+    # Barycentric coordinates of the texels' middles.
+    a, b, c = (places[triangle, corner] - np.stack([x, y], 1) - 0.5 for corner in range(3))
+    areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))], 1)
+    weights = areas / areas.sum(1, keepdims=True)
+    pixels[y, x, :3] = worn_pixels(mesh, image, corners[triangle], weights)
+
+
 def squares_along(count: int, size: int) -> int:
     """Number of squares in a row; raise `InputError` if they would be too small."""
     side = int(np.ceil(count**0.5))
@@ -109,17 +130,8 @@ def make_own_map(obj: bpy.types.Object, size: int) -> str:
     around = np.stack([np.cos(angle), np.sin(angle)], -1)
     around /= np.abs(around).max(1, keepdims=True)  # from a circle onto the square
     middle = (np.stack([face % side, face // side], -1) + 0.5) * step
-    if not layer_name(mesh, UV_MAP):
-        shown = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
-        layer = mesh.uv_layers.new(name=free_name(obj, UV_MAP), do_init=False)
-        if layer is None:
-            raise InputError("The mesh has as many UV maps as Blender allows: delete one")
-        mark(mesh, UV_MAP, layer.name)
-        if shown:
-            mesh.uv_layers.active = mesh.uv_layers[shown]
-    mesh.uv_layers[layer_name(mesh, UV_MAP)].uv.foreach_set(
-        "vector", ((middle + around * (step / 2 - 0.5)) / size).astype(np.float32).ravel()
-    )
+    places = (middle + around * (step / 2 - 0.5)) / size
+    make_uv_map(obj, UV_MAP).uv.foreach_set("vector", places.astype(np.float32).ravel())
     return layer_name(mesh, UV_MAP)
 
 
@@ -155,11 +167,7 @@ def _spread(pixels: np.ndarray) -> np.ndarray:
 def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:
     """A material that shows the image on a UV map, marked as an asset, so that the asset browser offers it."""
     material, texture = colors.new_material(image.name, "ShaderNodeTexImage")
-    texture.image = image
-    places = material.node_tree.nodes.new("ShaderNodeUVMap")
-    places.uv_map = uv_map
-    places.location = (texture.location.x - 200, texture.location.y - 200)
-    material.node_tree.links.new(places.outputs["UV"], texture.inputs["Vector"])
+    show_on(material, texture, image, uv_map)
     material.asset_mark()
     material.asset_data.description = "Trained colours on the texture coordinates of the body they were trained on"
     if not bpy.app.background:
@@ -168,14 +176,20 @@ def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:
 
 
 def baked_copy(obj: bpy.types.Object, size: int) -> bpy.types.Object:
-    """A copy of an object beside it, all of whose faces show its colours as an image; as it is where it has none."""
+    """A copy of an object beside it, all of whose faces show its colours as an image; as it is where it has none.
+
+    Faces that wear a cloth show the cloth itself, on its own UV map.
+    """
     done = bake(obj, size) if layer_name(obj.data, COLORS) else None
     copy = obj.copy()
     copy.data = obj.data.copy()
     if done is not None:
         copy.data.materials.clear()
         copy.data.materials.append(baked_material(done.image, done.uv_map))
-        copy.data.polygons.foreach_set("material_index", np.zeros(len(copy.data.polygons), np.int32))
+        image, worn = colors.worn_cloth(obj.data)
+        if image is not None:
+            copy.data.materials.append(colors.cloak_material(copy.data, colors.LOOKDEV, image))
+        copy.data.polygons.foreach_set("material_index", worn.astype(np.int32) * (image is not None))
     for collection in obj.users_collection:
         collection.objects.link(copy)
     return copy

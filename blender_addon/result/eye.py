@@ -26,8 +26,9 @@ from ..session import session
 from ..trainer.command_lines import cloak_command, options
 from ..trainer.onlooker import Onlooker, Seen
 from ..trainer.preferences import trainer
+from ..training.cloths import first_pose, is_cloth
 from ..training.detectors import judges
-from ..training.runs import run_of, trained_faces
+from ..training.runs import exported_scene, run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
 from ..ui.window import Hooks, areas, main_region, redraw
 from .reasons import export_worn, worn_reason
@@ -54,6 +55,7 @@ class Eye:
         self._shape: tuple = ()
         self._fitting: tuple[tuple, Path | None] = (), None
         self._exported: tuple = ()
+        self._pose = 0  # of the export: the current one
 
     def _look_with(self, specs: tuple[str, ...], device: str) -> None:
         """Start the process of these detectors."""
@@ -107,6 +109,7 @@ class Eye:
         worn, stamp = {}, 0
         if run is not None and (run / "colors.npy").is_file():
             worn = {"logo": str(run / "logo.npy"), "colors": str(run / "colors.npy")}
+            worn |= {"cloth": str(run), "pose": self._pose} if is_cloth(run) else {}
             stamp = (run / "colors.npy").stat().st_mtime_ns
         asked = (viewpoint, self._exported, stamp, tuple(worn.items()), tuple(background.items()))
         if asked != self._asked:
@@ -138,12 +141,15 @@ class Eye:
         if obj.mode == "EDIT":
             raise InputError("Leave Edit Mode (Tab): the detector looks at the body as it then is")
         worn = tuple(o.name for o in worn_by(obj))
-        about = (str(run), worn, tuple(value for row in obj.matrix_world for value in row))
+        about = (str(run), is_cloth(run), worn, tuple(value for row in obj.matrix_world for value in row))
         if (session.mesh_changes, *about) == self._shape:
             return
         digest = shape_digest(context, [obj, *worn_by(obj)])
         if (digest, *about) != self._exported:
-            export_worn(context, obj, run, PoseChoice(), self._folder / "scene")
+            # A cloth lies on the body as it did in training, whatever pose the body has now.
+            laid_out = first_pose(obj, exported_scene(run)).vertices[0] if is_cloth(run) else None
+            bodies = export_worn(context, obj, run, PoseChoice(), self._folder / "scene", laid_out)
+            self._pose = bodies.pose_count - 1
             self._exported = (digest, *about)
         self._shape = (session.mesh_changes, *about)  # exporting may itself have counted as a change
 

@@ -8,6 +8,7 @@ import numpy as np
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ExportHelper
 
+from ..blender import colors
 from ..blender.blend_paths import first_free
 from ..blender.marks import COLORS, layer_name
 from ..body.garments import worn_by
@@ -180,7 +181,9 @@ class CLOAK_OT_export_glb(CloakOperator, ExportHelper, label="Export GLB", needs
         except RuntimeError as error:
             raise InputError(f"{self.filepath}: cannot be exported ({str(error).strip()})") from None
         finally:
+            shown = [material for copy in copies for material in copy.data.materials if colors.is_cloak(material)]
             bpy.data.batch_remove([*copies, *(copy.data for copy in copies)])
+            bpy.data.batch_remove([material for material in set(shown) if not material.users])
             for one in chosen:
                 one.select_set(True)
             context.view_layer.objects.active = obj

@@ -43,6 +43,7 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
         reason = result_reason(context)
         if ready_cloaks(None, context):
             self.layout.operator_menu_enum("cloak.ready_cloak", "cloak", text="Ready Cloaks", icon="MATCLOTH")
+        self.layout.operator("cloak.cloth_picture", icon="TEXTURE")
         column = self.gate(context, reason)
         dressed = not reason and is_dressed(active_body(context))
         column.operator("cloak.result_load", icon="IMPORT")
@@ -53,6 +54,8 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
             box = self.layout.box()
             wrapped(box, context, warning, icon="ERROR")
             box.operator("cloak.use_standard_view")
+        if dressed and (words := colors.solid_reason(active_body(context), context.space_data)):
+            wrapped(self.layout, context, words, icon="INFO")
         row = column.row(align=True)
         row.operator("cloak.open_report", icon="URL")
         row.operator("cloak.render_check", icon="RENDER_STILL")

@@ -2,9 +2,11 @@
 """Why the colours of a run cannot be shown or judged, and exports of a body that wears them."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ..body.garments import is_dressed, worn_by
 from ..body.objects import of_the_body, refusal
@@ -44,9 +46,16 @@ def worn_reason(obj: bpy.types.Object) -> str:
 
 
 def export_worn(
-    context: bpy.types.Context, obj: bpy.types.Object, run: Path | None, choice: PoseChoice, folder: Path
+    context: bpy.types.Context,
+    obj: bpy.types.Object,
+    run: Path | None,
+    choice: PoseChoice,
+    folder: Path,
+    laid_out: np.ndarray | None = None,
 ) -> Bodies:
     """A scene package in `folder` (replaced) of what the camera sees, with the faces that the run's colours are for.
+
+    laid_out: vertices [V, 3] of a pose to put first, in which a cloth is laid onto the body.
 
     Raises `InputError` where the faces are not those of the training, and says which piece is there or is missing.
     """
@@ -58,6 +67,9 @@ def export_worn(
             f"'{obj.name}' changed since {run.name} was trained: its faces, or those of its clothing, are others; undo "
             "the change, or train again"
         )
+    if laid_out is not None and laid_out.shape == bodies.vertices[0].shape:
+        vertices, names = np.concatenate([laid_out[None], bodies.vertices]), ("laid out", *bodies.names)
+        bodies = replace(bodies, vertices=vertices, names=names, recorded_topology=bodies.topology)
     shutil.rmtree(folder, ignore_errors=True)
     write_scene(folder, bodies, creator="cloak add-on")
     return bodies

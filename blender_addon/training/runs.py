@@ -17,10 +17,12 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.blend_paths import absolute, blend_folder, first_free, portable
+from ..blender.cloth import Cloth, replace_picture
 from ..blender.marks import COLORS
 from ..blender.mesh_arrays import require_object_mode, topology
 from ..body.garments import write_worn
 from ..body.objects import object_of, refusal, require_body
+from ..exchange.cloth import CLOTH_FILE
 from ..exchange.colors import read_colors
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
@@ -30,6 +32,7 @@ from ..poses.export import RECORD, Export, read_export
 from ..session import session
 from ..trainer.jobs import Job
 from ..ui.operator import push_undo
+from .cloths import read_cloth
 
 
 def run_of(obj: bpy.types.Object) -> Path | None:
@@ -66,6 +69,12 @@ def export_of(run: Path) -> Export | None:
     """What the add-on exported for a run; None of a run of the command line."""
     folder = input_folder(run)
     return read_export(folder) if (folder / RECORD).is_file() else None
+
+
+def exported_scene(run: Path) -> Path | None:
+    """The scene package that the add-on exported for a run; None of a run of the command line."""
+    scene = input_folder(run) / "scene"
+    return scene if scene.is_dir() else None
 
 
 def new_run(output: Path, obj: str, logo: str) -> Path:
@@ -248,10 +257,23 @@ class LiveColors:
     def write(self, context: bpy.types.Context, obj: bpy.types.Object, values: np.ndarray, dress: bool) -> None:
         """Colours [L, 3] onto the object and its garments; with `dress` their faces get the cloak's material."""
         require_same_topology(obj, self._topology)
-        write_worn(self._garments, self._all, values, dress)
+        cloth = self._cloth(obj) if dress else None  # before anything is written: it may be damaged
+        write_worn(self._garments, self._all, values, self._cloth if dress else None)
         self._base[self._ids] = values[self._mine]
         colors.write_face_colors(obj, COLORS, self._base)
         if dress:
-            colors.dress(obj, self._ids)
+            colors.dress(obj, self._ids, cloth)
             colors.show_attribute(obj, COLORS)
+        else:
+            self._show_cloth(obj)
         obj.cloak.worn = str(self._run)
+
+    def _cloth(self, obj: bpy.types.Object, first: int = 0) -> Cloth | None:
+        """The cloth that the run trains, on an object whose faces the export numbers from `first`."""
+        return read_cloth(obj, self._run, exported_scene(self._run), first)
+
+    def _show_cloth(self, obj: bpy.types.Object) -> None:
+        """Show the cloth as it is now where the body or its garments wear it."""
+        pieces = [obj, *(bpy.data.objects[garment.object] for garment in self._garments)]
+        for image in {colors.worn_cloth(piece.data)[0] for piece in pieces} - {None}:
+            replace_picture(image, self._run / CLOTH_FILE)

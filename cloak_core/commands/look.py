@@ -27,7 +27,7 @@ class Look(Detecting):
     example = "request.json --detector builtin"
 
     request: Positional[Path]
-    """JSON: scene, out (a folder), and where they differ from the defaults logo, colors, pose, outfit, azimuth,
+    """JSON: scene, out (a folder), and where they differ from the defaults logo, colors, cloth, pose, outfit, azimuth,
     elevation, distance, field_of_view, pivot, width, height, backgrounds, background. A minus sign: one such object a
     line from standard input, until that ends; answers, and what is wrong with a request, go to its OUT/look.json."""
     detector: UseAppendAction[tuple[str, ...]] = ()

@@ -49,6 +49,7 @@ class Print(Command):
         from cloak_core.exchange.profiles import read_profile
         from cloak_core.products.printing import print_logo
         from cloak_core.sources.bodies.logos.palette import read_palette
+        from cloak_core.studies.printed_cloth import cloth_of_run
         from cloak_core.studies.trained_run import read_run
         from cloak_core.zoo.entry import run_path
 
@@ -66,6 +67,7 @@ class Print(Command):
         colors = read_colors(folder / "colors.npy", len(ids))
         how = {"title": folder.resolve().name, "palette": palette, "project": self.project, "profile": profile}
         how |= {"own_pattern": self.pieces == "own", "allowance": self.allowance_cm / 100}
+        how["cloth"] = cloth_of_run(folder)
         report = print_logo(bodies, ids, colors, self.out, dpi=self.dpi, page=self.page, **how)
         return {"out": str(self.out)} | report
 
@@ -87,7 +89,7 @@ def told(report: dict) -> list[str]:
     ]
     if not report["unprintable_colors"]:
         return words
-    share = f"{report['unprintable_colors']:,} of {report['faces']:,} colours"
+    share = f"{report['unprintable_colors']:,} of {report.get('colors', report['faces']):,} colours"
     if report["projected"]:
         return [*words, f"{share} could not come out, and were replaced by the nearest that can"]
     return [

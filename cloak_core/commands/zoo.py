@@ -186,6 +186,7 @@ class Export(Command):
 
     def _write_glb(self, found: Entry) -> None:
         from cloak_core.products.printing import write_worn
+        from cloak_core.studies.printed_cloth import PrintedCloth
 
         require_new(self.out)
         if not 10 <= self.dpi <= 600:
@@ -199,7 +200,10 @@ class Export(Command):
             raise InputError(
                 f"{scene}: topology {bodies.topology}, zoo:{found.record['name']} is for {found.config['topology']}"
             )
-        write_worn(self.out, bodies, found.ids, found.colors, self.dpi)
+        cloth = None
+        if found.cloth is not None:
+            cloth = PrintedCloth.of(found.cloth, found.config["settings"]["tile_cm"] / 100)
+        write_worn(self.out, bodies, found.ids, found.colors, self.dpi, cloth)
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['out']}: {result['faces']} faces of zoo:{result['name']}")

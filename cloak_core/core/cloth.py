@@ -11,24 +11,12 @@ from scipy import sparse
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.cloth import cloth_coordinates as cloth_coordinates
 
 MOST_SQUARES = 8
 """Squares along each side of what is seen at once that are averaged; of more, as many evenly spaced ones do."""
 LEAST_SQUARES = 1e-3
 """Least width of what is seen at once, squares: below it, rounding decides."""
-CLOTH_FILE = "cloth.png"
-"""Of a run: what to print, a pixel for each square."""
-
-
-def cloth_coordinates(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
-    """Map points to metres right and down on the cloth, as seen from outside.
-
-    Clothes are cut from flat panels: front and back are projected along z, the sides along x.
-    """
-    sideways = np.abs(normals[:, 0]) > np.abs(normals[:, 2])
-    across = np.where(normals[:, 2] < 0, -points[:, 0], points[:, 0])
-    across = np.where(sideways, -points[:, 2] * np.sign(normals[:, 0]), across)
-    return np.stack([across, -points[:, 1]], axis=1)
 
 
 def face_places(bodies: Bodies, logo: Logo) -> Float[np.ndarray, "L 2"]:

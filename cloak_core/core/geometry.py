@@ -13,37 +13,17 @@ from scipy.sparse.csgraph import connected_components
 
 from cloak_core.core.polygons import next_corner, polygon_loops
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.surface import area_vectors, sum_by_face
+from cloak_core.exchange.surface import face_normals as face_normals
 
 PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Points inside a triangle (weights of its corners) that stand for its area, a quarter each."""
-
-
-def area_vectors(bodies: Bodies, pose: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compute each triangle's normal times its area [T, 3], and its centroid [T, 3]; float64."""
-    corners = bodies.vertices[pose][bodies.triangles].astype(np.float64)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    return np.cross(b - a, c - a) / 2, corners.mean(axis=1)
-
-
-def sum_by_face(bodies: Bodies, values: np.ndarray) -> np.ndarray:
-    """Sum per-triangle values over each face."""
-    total = np.zeros((bodies.face_count, *values.shape[1:]))
-    np.add.at(total, bodies.triangle_face, values)
-    return total
 
 
 def face_areas(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, " faces"]:
     """Compute the area of every face in square metres (the sum of its triangles'), float64."""
     vectors, _ = area_vectors(bodies, pose)
     return sum_by_face(bodies, np.linalg.norm(vectors, axis=1))
-
-
-def face_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
-    """Compute unit normals, outwards where corners turn counter-clockwise; zero for a face without area."""
-    vectors, _ = area_vectors(bodies, pose)
-    normal = sum_by_face(bodies, vectors)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
 
 
 def vertex_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "vertices 3"]:

@@ -281,10 +281,7 @@ class TrainingLoop:
         """Write a checkpoint, and the colours: the latest, or those the run ends with."""
         if self.world.is_first:
             colors = self._final_colors()[0] if final else self.optimizer.finished()
-            write_colors(self.run.colors, self._on_faces(colors))
-            picture = self.batcher.worn.picture(_as_array(colors))
-            if picture is not None:
-                self.run.write_cloth(picture)
+            self._write_colors(colors)
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
             tensors |= self.techniques.state()
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
@@ -294,8 +291,15 @@ class TrainingLoop:
     def _show(self) -> None:
         """Write the latest colours every now and then, for whoever watches."""
         if self.world.is_first and time.perf_counter() - self._shown >= LIVE_SECONDS:
-            write_colors(self.run.colors, self._colors_array())
+            self._write_colors(self.optimizer.finished())
             self._shown = time.perf_counter()
+
+    def _write_colors(self, colors: Float[Tensor, "N 3"]) -> None:
+        """Write the cloth, where one is trained, then the faces' colours: whoever watches these finds both new."""
+        picture = self.batcher.worn.picture(_as_array(colors))
+        if picture is not None:
+            self.run.write_cloth(picture)
+        write_colors(self.run.colors, self._on_faces(colors))
 
     def _restore(self) -> list[str]:
         """Load the last sound checkpoint, if any, in every process; returns what was wrong with later ones."""

@@ -16,13 +16,13 @@ from PIL import Image
 from torch import Tensor
 
 from cloak_core.core.checkpoints import remove_unfinished
-from cloak_core.core.cloth import CLOTH_FILE
 from cloak_core.core.detector.drawing import draw_boxes
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.detector.scoring import person_boxes
 from cloak_core.core.logo import Logo
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.run_config import changes_around, check_same
+from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import write_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError

@@ -1,4 +1,4 @@
-"""Face colours as a picture on a layout, and the whole body's texture coordinates into it."""
+"""Face colours, or a cloth, as a picture on a layout, and the whole body's texture coordinates into it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer, UInt8
 
+from cloak_core.core.cloth import corner_places
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.products.layout import Layout, inside
 from cloak_core.sources.bodies.meshes.pictures import color_squares, to_bytes
+from cloak_core.studies.printed_cloth import PrintedCloth
 
 MAX_PIXELS = 400 << 20
 PADDING = 0.002
@@ -29,8 +31,35 @@ class Texture:
     """Rows of the picture, from the top, that show the charts."""
 
 
-def bake(bodies: Bodies, layout: Layout, face_colors: Float32[np.ndarray, "faces 3"], dpi: int) -> Texture:
-    """Paint the colours of all faces ([F, 3] sRGB, the logo's among them) at `dpi` dots to the inch of the layout."""
+@dataclass(frozen=True, eq=False)
+class Sewn:
+    """A cloth on the triangles of a layout: which of its colours each point shows."""
+
+    cloth: PrintedCloth
+    corners: Float[np.ndarray, "t 3 2"]
+    """In the picture, pixels, y up."""
+    places: Float[np.ndarray, "t 3 2"]
+    """On the cloth, metres right and down."""
+
+    def colors_at(self, number: int, points: Float[np.ndarray, "n 2"]) -> UInt8[np.ndarray, "n 3"]:
+        """Look up points (pixels) of one triangle on the cloth, affinely from corner to corner."""
+        corners, places = self.corners[number], self.places[number]
+        across = (points - corners[0]) @ np.linalg.pinv(corners[1:] - corners[0])
+        squares = self.cloth.cloth.square_at(places[0] + across @ (places[1:] - places[0]))
+        return to_bytes(self.cloth.colors[squares])
+
+
+def bake(
+    bodies: Bodies,
+    layout: Layout,
+    face_colors: Float32[np.ndarray, "faces 3"],
+    dpi: int,
+    cloth: PrintedCloth | None = None,
+) -> Texture:
+    """Paint the colours of all faces ([F, 3] sRGB, the logo's among them) at `dpi` dots to the inch of the layout.
+
+    cloth: what the logo's faces show in place of their colours, as fine as it is printed.
+    """
     dots = dpi / 0.0254
     width, rows = (int(np.ceil(extent * dots)) for extent in layout.size)
     plain = np.setdiff1d(np.arange(bodies.triangle_count), layout.triangles)
@@ -40,7 +69,9 @@ def bake(bodies: Bodies, layout: Layout, face_colors: Float32[np.ndarray, "faces
         raise InputError(f"{dpi} dpi: a picture of {width} x {height} pixels is too large")
     image = np.full((height, width, 3), 255, np.uint8)
     colors = to_bytes(face_colors[bodies.triangle_face[layout.triangles]])
-    painted = paint(image[:rows], layout.corners * dots, colors)
+    corners = layout.corners * dots
+    places = None if cloth is None else corner_places(bodies)[:, :, layout.triangles].transpose(2, 1, 0)
+    painted = paint(image[:rows], corners, colors, None if cloth is None else Sewn(cloth, corners, places))
     spread(image[:rows], painted, int(np.ceil(PADDING * dots)))
     image[rows:] = squares
     uv = np.zeros((bodies.triangle_count, 3, 2))
@@ -50,21 +81,25 @@ def bake(bodies: Bodies, layout: Layout, face_colors: Float32[np.ndarray, "faces
 
 
 def paint(
-    image: UInt8[np.ndarray, "h w 3"], corners: Float[np.ndarray, "t 3 2"], colors: UInt8[np.ndarray, "t 3"]
+    image: UInt8[np.ndarray, "h w 3"],
+    corners: Float[np.ndarray, "t 3 2"],
+    colors: UInt8[np.ndarray, "t 3"],
+    sewn: Sewn | None = None,
 ) -> Bool[np.ndarray, "h w"]:
-    """Fill triangles (pixels, y up from the picture's lower border) with plain colours, every pixel whose centre they
-    hold; returns which pixels were filled [H, W]."""
+    """Fill triangles (pixels, y up from the picture's lower border) with plain colours or a cloth, every pixel whose
+    centre they hold; returns which pixels were filled [H, W]."""
     painted = np.zeros(image.shape[:2], bool)
     height, width = painted.shape
     low = np.floor(corners.min(axis=1) - 0.5).astype(int)
     high = np.ceil(corners.max(axis=1) + 0.5).astype(int)
-    for triangle, color, (x0, y0), (x1, y1) in zip(corners, colors, low, high, strict=True):
+    for number, (triangle, color, (x0, y0), (x1, y1)) in enumerate(zip(corners, colors, low, high, strict=True)):
         x = np.arange(max(x0, 0), min(x1, width))
         y = np.arange(max(y0, 0), min(y1, height))
         points = np.stack(np.meshgrid(x + 0.5, y + 0.5), axis=-1).reshape(-1, 2)
-        hit = inside(triangle, points).reshape(len(y), len(x))
-        rows, columns = np.nonzero(hit)
-        image[height - 1 - y[rows], x[columns]] = color
+        hit = inside(triangle, points)
+        rows, columns = np.nonzero(hit.reshape(len(y), len(x)))
+        shown = color if sewn is None else sewn.colors_at(number, points[hit])
+        image[height - 1 - y[rows], x[columns]] = shown
         painted[height - 1 - y[rows], x[columns]] = True
     return painted
 

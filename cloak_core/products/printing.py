@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from cloak_core.products.print_sheets import write_sheets
 from cloak_core.products.tiling import PAGES
 from cloak_core.sources.bodies.logos.palette import TOLERANCE, nearest_in_palette
 from cloak_core.sources.bodies.meshes.mesh_file import to_linear, to_srgb
+from cloak_core.studies.printed_cloth import PrintedCloth
 
 DPI = (10, 1200)
 MOST_ALLOWANCE = 0.05
@@ -39,6 +41,7 @@ def print_logo(
     profile: Profile | None = None,
     own_pattern: bool = False,
     allowance: float = 0.0,
+    cloth: PrintedCloth | None = None,
 ) -> dict:
     """Write a print folder: cloak.png (the layout, picture of the whole body), body.glb, body.obj + .mtl, sheets.pdf
     and print.json, the report that is also returned.
@@ -48,18 +51,25 @@ def print_logo(
     `project` then leaves no others; profile: of the printer and a camera (`cloak calibrate`): the sheets, and a picture
     to-print.png, then have the colours to send so that these come out. Those that cannot come out (counted) get the
     nearest that can, and body and cloak.png show what comes out. own_pattern: lay out the pieces of the mesh's own UV
-    map (a garment's) instead of cutting charts; allowance: metres of cloth around each piece.
+    map (a garment's) instead of cutting charts; allowance: metres of cloth around each piece; cloth: one that repeats,
+    shown in place of the colours, which are its means on each face.
 
     Sizes are those of the first pose. The folder appears whole or not at all; raises `InputError` where it exists, and
     for options out of range.
     """
     out = Path(out)
     _check(out, dpi, page, allowance, len(colors), len(face_ids))
-    near, beyond, sent = _what_comes_out(colors, palette, profile)
+    worn = colors if cloth is None else cloth.colors
+    near, beyond, sent = _what_comes_out(worn, palette, profile)
     layout = lay_out(bodies, face_ids, own_pattern)
-    shown = near if project or profile is not None else colors
-    texture = bake(bodies, layout, dressed(bodies, face_ids, shown), dpi)
-    sheets = texture if sent is None else bake(bodies, layout, dressed(bodies, face_ids, sent), dpi)
+
+    def painted(shown: Float32[np.ndarray, "n 3"]) -> Texture:
+        if cloth is None:
+            return bake(bodies, layout, dressed(bodies, face_ids, shown), dpi)
+        return bake(bodies, layout, dressed(bodies, face_ids, colors), dpi, replace(cloth, colors=shown))
+
+    texture = painted(near if project or profile is not None else worn)
+    sheets = texture if sent is None else painted(sent)
     with new_folder(out) as folder:
         write_bytes(folder / "cloak.png", png(texture.image))
         if sent is not None:
@@ -67,7 +77,8 @@ def print_logo(
         write_glb(folder / "body.glb", bodies, texture)
         write_obj(folder / "body.obj", bodies, texture, "cloak.png")
         drawn = write_sheets(folder / "sheets.pdf", bodies, layout, sheets, page, title, allowance)
-        report = {"faces": len(face_ids), **_figures(layout), "dpi": dpi, "image": list(texture.image.shape[1::-1])}
+        report = {"faces": len(face_ids), "colors": len(worn), **_figures(layout), "dpi": dpi}
+        report["image"] = list(texture.image.shape[1::-1])
         report |= {"page": page, **drawn, "own_pattern": own_pattern, "allowance_m": allowance}
         report |= {"unprintable_colors": int(beyond.sum()), "projected": bool(project or profile is not None)}
         report |= {"profile": profile is not None, "pose": bodies.names[0]}
@@ -76,11 +87,19 @@ def print_logo(
 
 
 def write_worn(
-    path: Path, bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"], dpi: int
+    path: Path,
+    bodies: Bodies,
+    face_ids: Integer[np.ndarray, " logo"],
+    colors: Float32[np.ndarray, "logo 3"],
+    dpi: int,
+    cloth: PrintedCloth | None = None,
 ) -> None:
-    """Write one .glb of the first pose in its first outfit, with the logo's colours [L, 3], sRGB in [0, 1], on it."""
+    """Write one .glb of the first pose in its first outfit, with the logo's colours [L, 3], sRGB in [0, 1], on it.
+
+    cloth: that repeats, shown in place of the colours.
+    """
     layout = lay_out(bodies, face_ids)
-    write_glb(path, bodies, bake(bodies, layout, dressed(bodies, face_ids, colors), dpi))
+    write_glb(path, bodies, bake(bodies, layout, dressed(bodies, face_ids, colors), dpi, cloth))
 
 
 def _what_comes_out(

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.baking import on_cloth
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.controls import CLOTHING
@@ -28,6 +29,7 @@ from cloak_core.files.writing import write_json, written
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.printed_cloth import cloth_of_run
 from cloak_core.studies.report.pictures import reported, to_pil
 
 ANSWER = "look.json"
@@ -48,6 +50,8 @@ class Look:
     """Face list; None: nothing is worn but the body's own clothing."""
     colors: str | None = None
     """Colours of the logo's faces, .npy; None: the same."""
+    cloth: str | None = None
+    """Run folder whose cloth is worn in place of `colors`, as fine as it is printed; one without a cloth is ignored."""
     pose: int = 0
     outfit: int = 0
     azimuth: float = 0.0
@@ -122,7 +126,8 @@ class Looker:
         return result
 
     def _images(self, asked: Look) -> dict[str, Float[Tensor, "1 3 H W"]]:
-        bodies, view_cache = self._open(asked.scene)
+        cloth = None if asked.cloth is None else cloth_of_run(Path(asked.cloth))
+        bodies, view_cache = self._open(asked.scene, on_cloth=cloth is not None)
         if not 0 <= asked.pose < bodies.pose_count:
             raise InputError(f"pose {asked.pose}: scene '{bodies.name}' has {bodies.pose_count}")
         worn = asked.logo is not None and asked.colors is not None
@@ -137,14 +142,19 @@ class Looker:
         tensors = {
             name: torch.tensor(np.asarray(values, np.float32), device=self._device) for name, values in colors.items()
         }
-        return {name: compose([view], values, behind, None, None) for name, values in tensors.items()}
+        images = {name: compose([view], values, behind, None, None) for name, values in tensors.items()}
+        if worn and cloth is not None:
+            squares = torch.from_numpy(cloth.colors).to(self._device)
+            images[CLOAK] = compose([on_cloth(view, cloth.cloth)], squares, behind, None, None)
+        return images
 
-    def _open(self, spec: str) -> tuple[Bodies, ViewCache]:
+    def _open(self, spec: str, on_cloth: bool) -> tuple[Bodies, ViewCache]:
         files = [path for path in (Path(spec), Path(spec) / "bodies.npz") if path.exists()]
-        key = (spec, tuple(path.stat().st_mtime_ns for path in files))
+        key = (spec, on_cloth, tuple(path.stat().st_mtime_ns for path in files))
         if self._scene is None or self._scene[0] != key:
             bodies = load_scene(spec)
-            self._scene = key, bodies, ViewCache(bodies, RenderSettings(device=self._device, memory_bytes=1 << 28))
+            settings = RenderSettings(device=self._device, memory_bytes=1 << 28)
+            self._scene = key, bodies, ViewCache(bodies, settings, on_cloth=on_cloth)
         return self._scene[1:]
 
     def _backgrounds(self, spec: str) -> Backgrounds:

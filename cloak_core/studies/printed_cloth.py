@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from cloak_core.core.cloth import CLOTH_FILE, Cloth
+from cloak_core.core.cloth import Cloth
 from cloak_core.core.pictures import read_picture
+from cloak_core.exchange.cloth import CLOTH_FILE, cloth_metres
 from cloak_core.exchange.profiles import Profile
-from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +38,3 @@ def cloth_of_run(folder: Path) -> PrintedCloth | None:
     if not (folder / CLOTH_FILE).exists():
         return None
     return PrintedCloth.of(read_picture(folder / CLOTH_FILE), cloth_metres(folder))
-
-
-def cloth_metres(folder: Path) -> float:
-    """Read how wide a run's cloth is, metres. InputError: its configuration does not say."""
-    centimetres = read_json(folder / "config.json").get("settings", {}).get("tile_cm")
-    if not isinstance(centimetres, int | float) or not centimetres > 0:
-        raise InputError(f"{folder / 'config.json'}: does not say how wide {CLOTH_FILE} is (settings.tile_cm)")
-    return centimetres / 100

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from cloak_core.core.cloth import CLOTH_FILE
 from cloak_core.core.pictures import read_picture, save_picture
+from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.caching import cache_folder

@@ -10,6 +10,7 @@ from PIL import Image
 
 from cloak_core.commands.printing import told
 from cloak_core.core.cameras import Camera
+from cloak_core.core.cloth import Cloth, corner_places
 from cloak_core.core.geometry import face_areas
 from cloak_core.core.logo import select_region
 from cloak_core.core.paint import compose
@@ -24,6 +25,7 @@ from cloak_core.products.tiling import PAGES, cloth_of, pages, tiles
 from cloak_core.sources.bodies.meshes.importing import import_bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.printed_cloth import PrintedCloth
 
 DPI = 100
 
@@ -300,3 +302,30 @@ def test_a_print_is_told_in_sentences() -> None:
     assert "2,266 of 10,262 colours cannot be mixed" in said and "--project replaces them" in said
     assert "were replaced by the nearest" in "\n".join(told(report | {"projected": True}))
     assert "colours" not in "\n".join(told(report | {"unprintable_colors": 0}))
+
+
+def test_a_cloth_is_painted_as_fine_as_it_is_printed(body, logo, layout):
+    """Every texel has the square that lies under the same point of the body, and no face's mean."""
+    squares = np.random.default_rng(1).random((20 * 20, 3)).astype(np.float32)
+    cloth = PrintedCloth(Cloth(0.1, 20, 20), squares)
+    grey = dressed(body, logo, np.full((len(logo), 3), 0.5, np.float32))
+    image = bake(body, layout, grey, DPI, cloth).image
+    dots = DPI / 0.0254
+    weights = np.random.default_rng(2).dirichlet([1, 1, 1], len(layout.triangles))[..., None]
+    places = corner_places(body)[:, :, layout.triangles].transpose(2, 1, 0)
+    on_cloth = (places * weights).sum(1)
+    middle = np.floor((layout.corners * dots * weights).sum(1)).astype(int)
+    shown = image[: int(np.ceil(layout.size[1] * dots))][::-1][middle[:, 1], middle[:, 0]]
+    inner = (np.abs(on_cloth / 0.005 % 1 - 0.5) < 0.3).all(1)  # half a texel, 0.13 mm, from the next square
+    right = (np.abs(shown - 255 * squares[cloth.cloth.square_at(on_cloth)]) < 1).all(1)
+    assert inner.sum() > 50 and right[inner].mean() > 0.95
+    told_of = {tuple(color) for color in image.reshape(-1, 3).tolist()}
+    assert len(told_of & {tuple(color) for color in np.round(255 * squares).astype(int).tolist()}) > 390
+
+
+def test_sheets_of_a_cloth_count_its_colours(tmp_path, body, logo, colors):
+    cloth = PrintedCloth(Cloth(0.1, 2, 2), np.float32([[0, 1, 0], [1, 1, 1], [0, 1, 0], [1, 1, 1]]))
+    report = print_logo(body, logo, colors, tmp_path / "out", dpi=50, project=True, cloth=cloth)
+    assert (report["colors"], report["unprintable_colors"]) == (4, 2)
+    image = np.asarray(Image.open(tmp_path / "out" / "cloak.png")).reshape(-1, 3)
+    assert not (image == [0, 255, 0]).all(1).any(), "no four-colour printer mixes it"

@@ -72,6 +72,22 @@ def test_with_colours_both_are_told_and_new_colours_are_read_anew(box, tmp_path)
     assert looker.look(Look.of(worn))["detectors"]["red"]["cloak"]["max_person"] == pytest.approx(0.8)
 
 
+def test_a_runs_cloth_is_worn_as_fine_as_it_is_printed(box, tmp_path):
+    """Left half red, right half green, 1 m wide: on either of the wall's triangles, whose mean is neither."""
+    halves = np.uint8([[[230, 25, 25], [0, 255, 0]]])
+    Image.fromarray(halves).save(tmp_path / "cloth.png")
+    (tmp_path / "config.json").write_text(json.dumps({"settings": {"tile_cm": 100}}))
+    worn = box | {"logo": str(tmp_path / "logo.npy"), "colors": str(tmp_path / "colors.npy"), "cloth": str(tmp_path)}
+    told = Looker({"red": SeesRed()}).look(Look.of(worn))
+    picture = np.asarray(Image.open(told["pictures"]["cloak"]))
+    red = (picture[..., 0] > 100) & (picture[..., 1] < 60)
+    green = (picture[..., 1] > 100) & (picture[..., 0] < 60)
+    assert np.flatnonzero(red[20])[[0, -1]].tolist() == [21, 29], "the left half of the wall"
+    assert np.flatnonzero(green[20])[[0, -1]].tolist() == [30, 38]
+    (tmp_path / "cloth.png").unlink()
+    assert Looker({"red": SeesRed()}).look(Look.of(worn))["detectors"]["red"]["cloak"]["max_person"] == 0
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

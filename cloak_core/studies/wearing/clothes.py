@@ -13,12 +13,12 @@ import torch
 from jaxtyping import Float, UInt8
 from scipy import sparse
 
-from cloak_core.core.cloth import CLOTH_FILE
 from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.logo import select_region
 from cloak_core.core.pictures import read_picture
 from cloak_core.core.visibility.texture import look_up
+from cloak_core.exchange.cloth import CLOTH_FILE, cloth_metres
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
@@ -28,7 +28,7 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import NUMBER, body_rig
 from cloak_core.sources.photographs.views import cloth_places, logo_positions, shares_of
-from cloak_core.studies.printed_cloth import PrintedCloth, cloth_metres
+from cloak_core.studies.printed_cloth import PrintedCloth
 from cloak_core.studies.trained_run import read_run
 from cloak_core.zoo.entry import run_path
 

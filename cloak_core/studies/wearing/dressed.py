@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64
 
-from cloak_core.core.cloth import CLOTH_FILE
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.measure import OnProgress, check_asked
 from cloak_core.core.evaluation.settings import EvaluateSettings, WearSettings
+from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.profiles import Profile

@@ -43,7 +43,7 @@ def test_what_blend_files_store_keeps_its_name():
         "angle_step steps device output look live live_seconds judging"
     )
     assert list(marks.KINDS) == [
-        "colors", "outfit", "heatmap", "own_material", "original_face", "carried_face", "heat", "uv",
+        "colors", "outfit", "heatmap", "own_material", "original_face", "carried_face", "heat", "uv", "cloth",
     ]  # fmt: skip
 
 

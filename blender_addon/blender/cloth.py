@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A cloth that repeats, as fine as it is printed: its picture, packed into the file, on a UV map of ours."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..files.errors import InputError
+from .marks import CLOTH, PREFIX, layer_name, make_uv_map, remove_layer
+
+
+@dataclass(frozen=True)
+class Cloth:
+    """A cloth's picture, and where the corners of a mesh lie on it."""
+
+    image: bpy.types.Image
+    uv: np.ndarray
+    """[C, 2]: v up, beyond [0, 1] the picture repeats."""
+
+    def lay(self, obj: bpy.types.Object) -> bpy.types.Image:
+        """Write the UV map; returns the image that is to be shown on it."""
+        make_uv_map(obj, CLOTH).uv.foreach_set("vector", np.ascontiguousarray(self.uv, np.float32).ravel())
+        self.image.name = PREFIX + CLOTH
+        return self.image
+
+
+def load_picture(path: Path) -> bpy.types.Image:
+    """A new image of a picture file, packed. Raises `InputError` where Blender cannot read it."""
+    try:
+        image = bpy.data.images.load(str(path), check_existing=False)
+    except RuntimeError:
+        raise InputError(f"{path}: cannot be read") from None
+    if not image.size[0]:
+        bpy.data.images.remove(image)
+        raise InputError(f"{path}: not a picture that Blender can read")
+    image.alpha_mode = "NONE"
+    image.pack()
+    return image
+
+
+def show_on(material: bpy.types.Material, texture: bpy.types.Node, image: bpy.types.Image, uv_map: str) -> None:
+    """Let a material's texture node show an image on a UV map."""
+    texture.image = image
+    places = material.node_tree.nodes.new("ShaderNodeUVMap")
+    places.uv_map = uv_map
+    places.location = (texture.location.x - 200, texture.location.y - 200)
+    material.node_tree.links.new(places.outputs["UV"], texture.inputs["Vector"])
+
+
+def cloth_of(material: bpy.types.Material) -> bpy.types.Image | None:
+    """The cloth that one of our materials shows; None where it shows colours of faces."""
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return next((node.image for node in nodes if node.bl_idname == "ShaderNodeTexImage"), None)
+
+
+def replace_picture(image: bpy.types.Image, path: Path) -> None:
+    """Show a picture file wherever an image is shown, and remove the image."""
+    name, new = image.name, load_picture(path)
+    image.user_remap(new)
+    bpy.data.images.remove(image)
+    new.name = name
+
+
+def take_off(mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
+    """Remove a cloth that the mesh wore: the UV map, and material and image if nobody else shows them."""
+    image = cloth_of(material)
+    remove_layer(mesh, CLOTH)
+    for thing, kept in ((material, bpy.data.materials), (image, bpy.data.images)):
+        if thing is not None and not thing.users:
+            kept.remove(thing)
+
+
+def worn_pixels(mesh: bpy.types.Mesh, image: bpy.types.Image, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[n, 3] sRGB of the cloth at points of the mesh: weights [n, 3] of three corners [n, 3] each."""
+    places = np.empty(2 * len(mesh.loops), np.float32)
+    mesh.uv_layers[layer_name(mesh, CLOTH)].uv.foreach_get("vector", places)
+    uv = (places.reshape(-1, 2)[corners] * weights[..., None]).sum(1) % 1
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    width, height = image.size
+    column, row = np.minimum((uv * [width, height]).astype(int), [width - 1, height - 1]).T
+    return pixels.reshape(height, width, image.channels)[row, column, :3]

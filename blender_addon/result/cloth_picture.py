@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Any picture as a cloth that repeats: a run folder of it, worn as what a training would have left."""
+
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from ..blender import colors
+from ..blender.blend_paths import blend_folder, portable
+from ..blender.cloth import load_picture
+from ..blender.faces import active_logo
+from ..blender.mesh_arrays import image_pixels, mean_of_corners
+from ..body.objects import active_body, logo_reason
+from ..exchange.bodies import Bodies
+from ..exchange.cloth import CLOTH_FILE, corner_uv
+from ..exchange.colors import write_colors
+from ..exchange.face_lists import read_face_list
+from ..exchange.scenes import read_scene
+from ..files.writing import new_folder, write_json
+from ..poses.export import Export, export, poses_reason
+from ..poses.poses import PoseChoice
+from ..properties import output_folder
+from ..training import runs
+from ..ui import props
+from ..ui.operator import WITH_UNDO, CloakOperator
+
+INWARDS = (0.0, 0.35, 0.7)  # shares of the way from a face's middle to its corners, where its mean colour is taken
+
+
+def picture_reason(context: bpy.types.Context) -> str:
+    """Why no picture can be worn."""
+    return logo_reason(context) or poses_reason(context, PoseChoice())
+
+
+class CLOAK_OT_cloth_picture(CloakOperator, ImportHelper, label="Picture as Cloth", needs=picture_reason):
+    """Wear a picture as cloth that repeats, on the active logo: to compare it with what was trained"""
+
+    bl_options = WITH_UNDO
+    filter_glob: StringProperty(default="*.png;*.jpg;*.jpeg;*.webp", options={"HIDDEN"})
+    width: props.number("Width", "After how many metres it repeats", 0.25, min=0.01, max=10.0)
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, logo, path = active_body(context), active_logo(active_body(context)), Path(self.filepath)
+        if obj.mode == "EDIT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        run = runs.new_run(output_folder(context.scene.cloak), obj.name, path.stem)
+        image = load_picture(path)
+        try:
+            pixels = image_pixels(image)[..., :3]
+            pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
+            pixels = colors.linear_to_srgb(np.clip(pixels, 0, 1)) if image.is_float else pixels
+        finally:
+            bpy.data.images.remove(image)
+        done = export(context, obj, logo, PoseChoice(), runs.input_folder(run))
+        write_run(run, done, pixels, self.width, obj.cloak.made_from)
+        obj.cloak.run = portable(str(run), blend_folder())
+        return f"'{obj.name}' wears {run.name}: {runs.import_colors(context, obj, run):,} faces"
+
+
+def write_run(run: Path, done: Export, pixels: np.ndarray, metres: float, made_from: str) -> None:
+    """A run folder of a cloth of these pixels ([h, w, 3] sRGB, bottom row first) on what was exported."""
+    bodies, ids = read_scene(done.scene), read_face_list(done.face_list).ids
+    source, _, topology = made_from.partition("|")
+    config = {"format": "cloak run", "topology": bodies.topology, "detectors": []}
+    config["settings"] = {"pattern": "tile", "tile_cm": round(100 * metres, 4)}
+    config["inputs"] = {"made_from": source} if topology == bodies.topology else {}
+    with new_folder(run) as folder:
+        _save(pixels, folder / CLOTH_FILE)
+        write_json(folder / "config.json", config)
+        for name in ("logo.npy", "logo.json"):
+            shutil.copyfile(done.face_list.with_name(name), folder / name)
+        write_colors(folder / "colors.npy", _means(bodies, metres, pixels)[ids])
+
+
+def _means(bodies: Bodies, metres: float, pixels: np.ndarray) -> np.ndarray:
+    """[F, 3]: about the mean of the picture on each face, from its middle and points towards its corners."""
+    uv = corner_uv(bodies, metres, metres * pixels.shape[0] / pixels.shape[1])
+    counts = np.full(bodies.triangle_count, 3) if bodies.loop_total is None else bodies.loop_total
+    middle = np.repeat(mean_of_corners(counts, uv), counts, axis=0)
+    height, width = pixels.shape[:2]
+    total = np.zeros((len(counts), 3), np.float32)
+    for part in INWARDS:
+        column, row = ((middle + part * (uv - middle)) % 1 * [width, height]).astype(int).T
+        total += mean_of_corners(counts, pixels[np.minimum(row, height - 1), np.minimum(column, width - 1)])
+    if bodies.loop_total is None:  # modifiers make other polygons: of the triangles that count as a face
+        order = np.argsort(bodies.triangle_face, kind="stable")
+        triangles = np.bincount(bodies.triangle_face, minlength=bodies.face_count)
+        total = mean_of_corners(np.maximum(triangles, 1), total[order])
+    return np.clip(total / len(INWARDS), 0, 1)
+
+
+def _save(pixels: np.ndarray, path: Path) -> None:
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new("cloak.cloth", width, height)
+    try:
+        image.pixels.foreach_set(np.concatenate([pixels, np.ones((height, width, 1), np.float32)], -1).ravel())
+        image.filepath_raw, image.file_format = str(path), "PNG"
+        image.save()
+    finally:
+        bpy.data.images.remove(image)
