@@ -89,7 +89,7 @@ class BodyRenderer:
     ) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
         """Render one trial's body, unmoved, before mid-grey; also how much of every pixel it covers."""
         grey = torch.full((1, 3, view.height, view.width), 0.5, device=self._device)
-        image = compose([self._worn(view, control)], self._logo_colors([index], control), grey, None, None)[0]
+        image = compose([self._worn(view, control)], self._logo_colors([index], control), grey)[0]
         coverage = torch.zeros(view.height * view.width, device=self._device)
         coverage[view.pixels] = view.coverage
         return image, coverage
@@ -107,7 +107,7 @@ class BodyRenderer:
         camera = Camera(elevation=0.0, azimuth=azimuth, width=side, height=side)
         view = view_cache.bake(0, camera, self.cloaked.logo.face_ids)
         white = torch.ones(1, 3, side, side, device=self._device)
-        image = compose([self._worn(view, LOGO)], self._colors_of(LOGO)[0], white, None, None)[0]
+        image = compose([self._worn(view, LOGO)], self._colors_of(LOGO)[0], white)[0]
         alpha = torch.zeros(side * side, device=self._device)
         alpha[view.pixels] = view.coverage
         alpha = alpha.view(1, side, side)

@@ -142,10 +142,10 @@ class Looker:
         tensors = {
             name: torch.tensor(np.asarray(values, np.float32), device=self._device) for name, values in colors.items()
         }
-        images = {name: compose([view], values, behind, None, None) for name, values in tensors.items()}
+        images = {name: compose([view], values, behind) for name, values in tensors.items()}
         if worn and cloth is not None:
             squares = torch.from_numpy(cloth.colors).to(self._device)
-            images[CLOAK] = compose([on_cloth(view, cloth.cloth)], squares, behind, None, None)
+            images[CLOAK] = compose([on_cloth(view, cloth.cloth)], squares, behind)
         return images
 
     def _open(self, spec: str, on_cloth: bool) -> tuple[Bodies, ViewCache]:

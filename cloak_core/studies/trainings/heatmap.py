@@ -54,7 +54,7 @@ def heatmap(
             chosen = [(count + i) % len(backgrounds) for i in range(min(IMAGES, per_view - first))]
             behind = backgrounds.batch(chosen, size, size).to(device)
             colors = worn.expand(len(chosen), -1, -1).clone().requires_grad_()
-            images = compose([view] * len(chosen), colors, behind, None, None)
+            images = compose([view] * len(chosen), colors, behind)
             max_person_score(detector(images)).sum().backward()
             total += colors.grad.abs().sum(dim=(0, 2))
             if on_progress:

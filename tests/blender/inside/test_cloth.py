@@ -125,8 +125,8 @@ camera = Camera(azimuth=0.0, distance=distance, width=side, height=side)
 view = ViewCache(bodies, settings, on_cloth=True).bake(0, camera, logo.face_ids)
 cloth = cloth_of_run(Path(run))
 grey = torch.full((1, 3, side, side), 0.5)
-worn = compose([on_cloth(view, cloth.cloth)], torch.from_numpy(cloth.colors), grey, None, None)[0]
-nobody = compose([on_cloth(view, cloth.cloth)], torch.zeros(len(cloth.colors), 3), grey, None, None)[0]
+worn = compose([on_cloth(view, cloth.cloth)], torch.from_numpy(cloth.colors), grey)[0]
+nobody = compose([on_cloth(view, cloth.cloth)], torch.zeros(len(cloth.colors), 3), grey)[0]
 np.savez(out, worn=worn.permute(1, 2, 0).numpy(), logo=(nobody == 0).all(0).numpy())
 """
 """The trainer's view of the cloth under even light."""
