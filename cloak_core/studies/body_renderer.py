@@ -94,12 +94,15 @@ class BodyRenderer:
         coverage[view.pixels] = view.coverage
         return image, coverage
 
-    def flat_views(self) -> dict[str, Float[Tensor, "h w 4"]]:
-        """`flat_view` from four sides."""
-        return {side: self.flat_view(azimuth) for side, azimuth in SIDES.items()}
+    def flat_views(self, size: int = 640) -> dict[str, Float[Tensor, "_ _ 4"]]:
+        """Render the first body in the trained colours under even light, from each side that shows any of it.
 
-    def flat_view(self, azimuth: float, side: int = 640) -> Float[Tensor, "h w 4"]:
-        """Render the first body in the trained colours under even light, RGBA in [0, 1], cut to the body."""
+        RGBA in [0, 1], cut to the body; size: of the whole square, pixels.
+        """
+        views = {side: self._flat_view(azimuth, size) for side, azimuth in SIDES.items()}
+        return {side: rgba for side, rgba in views.items() if rgba.numel()}
+
+    def _flat_view(self, azimuth: float, side: int) -> Float[Tensor, "h w 4"]:
         flat = Light(ambient=1.0, diffuse=0.0, specular=0.0)
         first = self.cloaked.bodies.select_poses([0])
         settings = RenderSettings(light=flat, device=self._device)

@@ -30,7 +30,7 @@ from cloak_core.studies.training_store import Trained
 CARD = "card.html"
 SHOWN = 4
 """Pictures of a kind."""
-SIDES = {"front": 0.0, "back": 180.0}
+SIDES = ("front", "back")
 Shown = Mapping[str, tuple[Trained, tuple[float, ...], dict]]
 """By part: a cloak, the test azimuths and the evaluation settings it was judged with."""
 
@@ -117,7 +117,9 @@ def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
         "hidden": {part: [pair(part, told) for told in hidden[part]] for part in parts},
         "missed": [dict(told, shot=shot("clean", told["clothing"])) for told in pictures.get("missed", [])],
         "alarms": [dict(told, shot=shot("clean", told["bare"])) for told in pictures.get("alarms", [])],
-        "cloaks": [told | {side: page.data_uri(place / told[side]) for side in SIDES} for told, place in cloaks],
+        "cloaks": [
+            told | {side: page.data_uri(place / told[side]) for side in SIDES if side in told} for told, place in cloaks
+        ],
     }
 
 
@@ -165,7 +167,8 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
         else:
             if part in paired:
                 found["hidden"][part] = [draw_pair(place, renderer, trial, detectors, own) for trial in trials[part]]
-            flat = {side: write_flat(place, side, renderer.flat_view(angle, 320)) for side, angle in SIDES.items()}
+            views = {side: rgba for side, rgba in renderer.flat_views(320).items() if side in SIDES}
+            flat = {side: write_flat(place, side, rgba) for side, rgba in views.items()}
             found["cloaks"].append({"part": part} | flat)
     return found
 
