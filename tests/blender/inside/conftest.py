@@ -180,3 +180,17 @@ def dressed(stub: Path, tmp_path: Path) -> bpy.types.Object:
     obj.cloak.run = str(run)
     bpy.ops.cloak.result_load()
     return obj
+
+
+@pytest.fixture
+def clothed(tmp_path):
+    """An egg whose upper faces wear a cloth, and the squares."""
+    from cloths_made import cloth_run, random_squares
+    from made import make_egg
+
+    obj, squares = make_egg(), random_squares()
+    obj.data.materials.append(bpy.data.materials.new("Skin"))
+    ids = np.flatnonzero([p.center.z > 0.5 for p in obj.data.polygons])
+    obj.cloak.run = str(cloth_run(tmp_path, obj, ids, squares))
+    bpy.ops.cloak.result_load()
+    return obj, ids, squares
