@@ -196,3 +196,15 @@ def test_the_package_reads_what_was_made_of_its_file(spec: str, tmp_path: Path) 
 def test_queries_are_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="cannot train RT-DETR, only networks with a box at every cell"):
         open_student("ultralytics:yolov8n-rtdetr.yaml@64")
+
+
+def test_a_python_module_whose_weights_are_out_of_reach_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "box.py").write_text(
+        "import torch\n"
+        "class Box(torch.nn.Module):\n"
+        "    def forward(self, x):\n"
+        "        return torch.zeros(len(x), 1, 4), x.mean((1, 2, 3))[:, None]\n"
+        "def load():\n    return Box()\n"
+    )
+    with pytest.raises(InputError, match="its module has no parameters that torch could train"):
+        open_student(f"python:{tmp_path}/box.py:load")
