@@ -101,7 +101,12 @@ class Batcher:
         count = workers(self.device) if self.source.is_fresh else 1
         views = spread(lambda drawn: self.source.view(*drawn), draws.views(), count)
         rows = blank(len(views), size, size, self.device)
-        lay_backdrop(rows, [self.backgrounds.image(index, (size, size)) for index in draws.background.tolist()])
+        # Behind a photograph, which no shift moves, nothing is seen: a drawn scene takes longer than its view.
+        behind = [
+            None if view.others is not None and view.is_whole else self.backgrounds.image(index, (size, size))
+            for view, index in zip(views, draws.background.tolist(), strict=True)
+        ]
+        lay_backdrop(rows, behind, (size, size))
         # A photograph is moved by the part of it that is shown.
         is_photograph = np.array([view.others is not None for view in views])
         moved = torch.from_numpy(np.where(is_photograph[:, None], 0, draws.shift))

@@ -40,11 +40,16 @@ def blank(count: int, height: int, width: int, device: torch.device | str = "cpu
     return torch.empty(count * height * width + 1, 3, device=device)
 
 
-def lay_backdrop(rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3 H W"]]) -> None:
-    """Fill a canvas (see `blank`) with one background for each of its images, all of one size."""
-    for own, image in zip(pixels_of(rows, (len(images), *images[0].shape)), images, strict=True):
-        # Bytes travel to the device; numbers are made there.
-        own.copy_(image.to(own.device, non_blocking=True)).div_(255)
+def lay_backdrop(
+    rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3 H W"] | None], size: tuple[int, int]
+) -> None:
+    """Fill a canvas (see `blank`) with one background of `size` (height, width) for each of its images; None: black."""
+    for own, image in zip(pixels_of(rows, (len(images), 3, *size)), images, strict=True):
+        if image is None:
+            own.zero_()
+        else:
+            # Bytes travel to the device; numbers are made there.
+            own.copy_(image.to(own.device, non_blocking=True)).div_(255)
 
 
 def pixels_of(rows: Float32[Tensor, "P 3"], shape: Sequence[int]) -> Float32[Tensor, "B 3 H W"]:

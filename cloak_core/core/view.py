@@ -230,6 +230,11 @@ class BakedView:
         """`base_color` pixel by pixel."""
         return self.base_color.T
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether it fills the image, so that no background is seen."""
+        return len(self.pixels) == self.height * self.width and bool((self.coverage == 1).all())
+
     @cached_property
     def arrays(self) -> list[np.ndarray]:
         """Pixels, coverage and base_color for loops; same memory."""

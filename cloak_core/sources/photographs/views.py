@@ -10,17 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int64, UInt8
 from scipy import sparse
 from torch import Tensor
 
-from cloak_core.core.baking import baked_view
 from cloak_core.core.cameras import Number
 from cloak_core.core.cloth import cloth_coordinates
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.view import BakedView
+from cloak_core.core.visibility.compiled import use_loops
 from cloak_core.sources.photographs.choosing import Box
 from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.resampling import Dressed, resample_dressed
 from cloak_core.sources.photographs.rig import body_rig, faces_on_rig
 
 PADDING = 0.5
@@ -111,28 +112,24 @@ def photograph_view(fit: Fit, worn: SparseMap, framing: Framing, looseness: Loos
     the other people in the image.
     """
     height, width = fit.person.shape
-    left = np.ones(height * width, np.float32)
-    shares = worn.to_scipy()
-    left[fit.pixels] -= np.asarray(shares.sum(axis=1)).ravel()
-    photograph = fit.person.image.astype(np.float32) / 255 * left.reshape(height, width, 1)
     down, across = _kernels(framing, height, width)
-    base = _resample(photograph, down, across) + PADDING * _beyond(down, across)[..., None]
-    lit = sparse.diags(_light(fit, looseness)) @ shares
-    image = _pixels_to_pixels(fit.pixels, width, down, across) @ lit
-    image.sort_indices()  # within rows, far sooner than all entries at once
-    image = image.tocoo()
-    return baked_view(
-        torch.from_numpy(image.row.astype(np.int64)),
-        torch.from_numpy(image.col.astype(np.int64)),
-        torch.from_numpy(image.data.astype(np.float32)),
-        shares.shape[1],
-        torch.from_numpy(np.ascontiguousarray(base.transpose(2, 0, 1).astype(np.float32))),
-        box=framing.box(fit.person.box),
+    size = framing.size
+    shares = worn.to_scipy()
+    resample = resample_dressed if use_loops(worn.crow.device) else _resample_dressed
+    seen = resample(fit.person.image, fit.pixels, shares, _light(fit, looseness), down, across, PADDING)
+    shown = len(seen.crow) - 1
+    pixels, base_color, crow, column, weight = map(torch.from_numpy, seen)
+    return BakedView(
+        height=size,
+        width=size,
+        pixels=pixels,
+        coverage=torch.ones(size * size),
+        base_color=base_color,
+        front_count=shown,
+        map=SparseMap(crow, column, weight, shares.shape[1]),
         light_color=tuple(map(float, fit.tint)),
-        provenance={
-            "photograph": fit.person.photograph,
-            "person": fit.person.name,
-        },
+        box=framing.box(fit.person.box),
+        provenance={"photograph": fit.person.photograph, "person": fit.person.name},
         others=tuple(framing.box(box) for box in fit.person.others),
     )
 
@@ -185,16 +182,32 @@ def _kernel(start: Number, side: Number, size: int, count: int, softness: Number
     return sparse.csr_matrix((weight[kept], (row[kept], column[kept])), shape=(size, count))
 
 
-def _resample(image: np.ndarray, down: sparse.csr_matrix, across: sparse.csr_matrix) -> Float[np.ndarray, "s s 3"]:
-    height, width, channels = image.shape
-    rows = (down @ image.reshape(height, -1)).reshape(-1, width, channels).transpose(1, 0, 2)
-    size = across.shape[0]
-    return (across @ rows.reshape(width, -1)).reshape(size, -1, channels).transpose(1, 0, 2)
-
-
-def _beyond(down: sparse.csr_matrix, across: sparse.csr_matrix) -> Float[np.ndarray, "s s"]:
-    """How much of each pixel lies beyond the picture."""
-    return 1 - np.outer(down.sum(axis=1), across.sum(axis=1))
+def _resample_dressed(
+    image: UInt8[np.ndarray, "H W 3"],
+    pixels: Int64[np.ndarray, " P"],
+    worn: sparse.csr_matrix,
+    light: Float[np.ndarray, " P"],
+    down: sparse.csr_matrix,
+    across: sparse.csr_matrix,
+    padding: float,
+) -> Dressed:
+    """`resampling.resample_dressed` as sparse products, where there is no numba."""
+    height, width, _ = image.shape
+    size = down.shape[0]
+    left = np.ones(height * width, np.float32)
+    left[pixels] -= np.asarray(worn.sum(axis=1)).ravel()
+    photograph = image.astype(np.float32) / 255 * left.reshape(height, width, 1)
+    rows = (down @ photograph.reshape(height, -1)).reshape(-1, width, 3).transpose(1, 0, 2)
+    resampled = (across @ rows.reshape(width, -1)).reshape(size, -1, 3).transpose(1, 0, 2)
+    beyond = 1 - np.outer(down.sum(axis=1), across.sum(axis=1))
+    base = (resampled + padding * beyond[..., None]).astype(np.float32).transpose(2, 0, 1).reshape(3, -1)
+    shown = _pixels_to_pixels(pixels, width, down, across) @ (sparse.diags(light) @ worn)
+    shown.sort_indices()  # within rows, far sooner than all entries at once
+    is_worn = np.diff(shown.indptr) > 0
+    order = np.concatenate([np.flatnonzero(is_worn), np.flatnonzero(~is_worn)])
+    crow = np.concatenate([[0], shown.indptr[1:][is_worn]]).astype(np.int64)
+    entries = shown.indices.astype(np.int64), shown.data.astype(np.float32)
+    return Dressed(order, np.ascontiguousarray(base[:, order]), crow, *entries)
 
 
 def _pixels_to_pixels(
