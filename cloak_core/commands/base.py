@@ -37,7 +37,7 @@ class Words(Console):
     """Where words for people go, as they are: no markup in them."""
 
     def __init__(self, stderr: bool = False) -> None:
-        super().__init__(stderr=stderr, highlight=False, soft_wrap=True, markup=False)
+        super().__init__(stderr=stderr, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
     def on_broken_pipe(self) -> None:
         """Raise what rich would end the process for, with exit code 1."""
