@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterable
 
 from cloak_core import __version__
-from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
+from cloak_core.commands.base import RANK, Command, Stopped, err, next_words, out, warn
 from cloak_core.commands.streams import kept_for_json, prepare_streams, saying
 from cloak_core.files.errors import InputError, first_line, one_line, suggestion
 
@@ -135,7 +135,11 @@ def run(command: Command) -> int:
         result = command.run()
         with saying():
             command.show(result)
-        return _verdict(command, result)
+        code = _verdict(command, result)
+        if not code and not RANK:
+            with saying():
+                next_words(command, result)
+        return code
     with kept_for_json():  # whatever libraries print
         out.file = sys.stderr
         try:

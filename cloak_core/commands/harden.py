@@ -38,6 +38,7 @@ class Harden(Computing):
     """
 
     example = "builtin --steps 300 --out hardened"
+    next_why = "cloaks that are trained against it anew judge it"
 
     spec: Positional[str]
     """Detector to harden: builtin, onnx:FILE, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE], ultralytics:FILE.pt or
@@ -91,7 +92,7 @@ class Harden(Computing):
             "given": [self._given(bodies, name) for name in self.cloak],
         }
         settings = self._planned(student, bodies, backgrounds, material)
-        with TrainingProgress() as progress:
+        with TrainingProgress(label="hardening") as progress:
             result = harden(
                 settings, student, bodies, backgrounds, self.out, **material, resume=self.resume, on_event=progress
             )
@@ -152,8 +153,8 @@ class Harden(Computing):
                 out.print(f"  {lede(result[name])}")
             for path in result["files"]:
                 out.print(f"wrote {path}")
-        out.print("judge it by cloaks that are trained against it anew:")
-        for line in result["judge"]:
-            out.print(f"  {line}")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return tuple(shlex.split(result["judge"][0])[1:])
