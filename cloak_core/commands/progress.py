@@ -31,7 +31,7 @@ def announce(work: str, total: int, seconds: float | None = None, *, unit: str) 
     work: what is done; total, unit: how much of what. What is known later, `Pace` says.
     """
     about = "" if seconds is None else f", about {_minutes(seconds)} on this machine"
-    err.print(f"{work}: {total:,} {unit}{about}")
+    err.print(f"{work}: {total:,} {unit.removesuffix('s') if total == 1 else unit}{about}")
 
 
 class TrainingProgress:
@@ -129,17 +129,20 @@ def counted(label: str, events: Path | None = None, unit: str = "images") -> Ite
         log = EventLog(events)
     begun = time.monotonic()
     known: int | None = None
+    last = 0
     pace, said = Pace(), begun
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     with Progress(*columns, console=err, disable=not err.is_terminal) as bar:
         task = bar.add_task(label, total=None)
 
         def tell(done: int, total: int) -> None:
-            nonlocal known, said
+            nonlocal known, said, last
             bar.update(task, completed=done, total=total)
-            if total != known and total > 1:
+            if (total != known or done < last) and total > 1:  # or other work of the same size
                 pace.begin(done)
                 announce(label, total, unit=unit)
+                said = time.monotonic()
+            last = done
             words = pace.words(done, total)
             if not err.is_terminal and (pace.is_news or time.monotonic() - said >= PLAIN_EVERY):
                 said = time.monotonic()

@@ -259,7 +259,7 @@ class RunStore(TrainingStore):
         folder = self.out / "evaluations" / content_key(record, self.options.device)
         with self.locked(folder):
             if not (folder / "scores.npz").exists():
-                self.tell(f"evaluating {'people, ' * ('people' in record)}judged by {_short(shown['detectors'])}")
+                self.tell(f"evaluating{' on people,' * ('people' in record)} by {_short(shown['detectors'])}")
                 results = look()
                 with new_folder(folder) as temporary:
                     write_json(temporary / "config.json", dict(shown))
