@@ -158,8 +158,8 @@ def mistakes_page() -> str:
         if name in RUNS_BARE:
             text.append(f"| bare | `cloak {name}` | | needs nothing: does its work |")
         for mistake in made:
-            said = mistake.said.removeprefix("cloak: ").replace("|", "\\|").replace("<", "&lt;")
-            text.append(f"| {mistake.kind} | `cloak {mistake.line}` | {mistake.code} | {said} |")
+            said = mistake.said.removeprefix("cloak: ").replace("|", "\\|").replace("`", "'")
+            text.append(f"| {mistake.kind} | `cloak {mistake.line}` | {mistake.code} | `{said}` |")
     return "\n".join(text) + "\n"
 
 

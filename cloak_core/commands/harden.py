@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.commands.base import Stopped, load_scene, out
 from cloak_core.commands.options import Computing
-from cloak_core.commands.progress import TrainingProgress
+from cloak_core.commands.progress import TrainingProgress, announce
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import is_taken
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -92,6 +92,8 @@ class Harden(Computing):
             "given": [self._given(bodies, name) for name in self.cloak],
         }
         settings = self._planned(student, bodies, backgrounds, material)
+        if settings.decoys and settings.finished and not self.resume:
+            announce("cloaks to begin with", settings.finished, unit="trainings")
         with TrainingProgress(label="hardening") as progress:
             result = harden(
                 settings, student, bodies, backgrounds, self.out, **material, resume=self.resume, on_event=progress

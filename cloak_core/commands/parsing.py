@@ -83,7 +83,9 @@ def _flag(argument: str) -> str:
 
 
 def _unknown_flag(flag: str, known: Iterable[str]) -> str:
-    return f"unknown option {flag}{suggestion(flag, known, 0.6)}"
+    # Compared without dashes, which all have in common.
+    meant = suggestion(flag.lstrip("-"), [name.lstrip("-") for name in known], 0.6)
+    return f"unknown option {flag}{meant.replace('mean ', 'mean --')}"
 
 
 def _one_line(boxed: str) -> str:
