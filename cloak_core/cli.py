@@ -5,7 +5,6 @@ Exit codes: 0 done, 1 a defect (with its traceback), 2 bad input (one line that 
 
 from __future__ import annotations
 
-import difflib
 import errno
 import importlib
 import json
@@ -14,9 +13,9 @@ import sys
 from collections.abc import Iterable
 
 from cloak_core import __version__
-from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
+from cloak_core.commands.base import RANK, Command, Stopped, err, next_words, out, warn
 from cloak_core.commands.streams import kept_for_json, prepare_streams, saying
-from cloak_core.files.errors import InputError, first_line, one_line
+from cloak_core.files.errors import InputError, first_line, one_line, suggestion
 
 GROUPS: dict[str, dict[str, str]] = {
     "Start": {
@@ -136,7 +135,11 @@ def run(command: Command) -> int:
         result = command.run()
         with saying():
             command.show(result)
-        return _verdict(command, result)
+        code = _verdict(command, result)
+        if not code and not RANK:
+            with saying():
+                next_words(command, result)
+        return code
     with kept_for_json():  # whatever libraries print
         out.file = sys.stderr
         try:
@@ -191,8 +194,7 @@ def find(arguments: list[str]) -> tuple[str, list[str]]:
 
 def _near(typed: str, known: Iterable[str]) -> str:
     """Say which command may be meant, or which there are."""
-    near = difflib.get_close_matches(typed, list(known), 1, 0.7)
-    return f"; did you mean {near[0]}?" if near else f" (known: {', '.join(known)})"
+    return suggestion(typed, known) or f" (known: {', '.join(known)})"
 
 
 def load(name: str) -> type[Command]:

@@ -1,9 +1,9 @@
 """Build the site: `python tools/build_docs.py [FOLDER]` lays pages out in build/docs and has Zensical write site/.
 
 Pages lie there as in the repository, so that links hold in both places. The command line's page is made of the
-commands' own help, the one of `--json` of docs/schemas.json, the notebook's of the notebook, the picture of the rooms
-of the directions that a test holds. A click opens a picture in full size; a page of wide tables has no list of
-headings beside it.
+commands' own help, the one of mistakes by making them, the one of `--json` of docs/schemas.json, the notebook's of
+the notebook, the picture of the rooms of the directions that a test holds. A click opens a picture in full size; a
+page of wide tables has no list of headings beside it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import textwrap
 from pathlib import Path
 
 from draw_rooms import rooms_svg
+from mistakes import mistakes_page
 
 ROOT = Path(__file__).resolve().parents[1]
 TAKEN = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "docs", "examples", "benchmarks", "LICENSES")
@@ -75,6 +76,7 @@ def lay_out(pages: Path) -> None:
     (reference / "commands.md").write_text(commands_page(), "utf-8")
     (reference / "json.md").write_text(json_page(), "utf-8")
     (reference / "python.md").write_text(python_page(), "utf-8")
+    (reference / "mistakes.md").write_text(mistakes_page(), "utf-8")
     notebook = pages / "docs" / "notebooks" / "first_cloak.ipynb"
     notebook.with_suffix(".md").write_text(notebook_page(notebook), "utf-8")
     guide = pages / "CONTRIBUTING.md"

@@ -193,3 +193,9 @@ class Assess(Splitting, Detecting, Sharing):
             out.print(f"  {lede(card)}")
         for path in result["files"]:
             out.print(f"wrote {path}")
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        made = [
+            path.parent for path in map(Path, result["files"]) if path.name == "card.html" and path.parent != self.out
+        ]
+        return ("leaderboard", "add", *map(str, made)) if made else ()

@@ -22,7 +22,7 @@ __all__ = [
     "command_line",
     "err",
     "load_scene",
-    "next_command",
+    "next_words",
     "out",
     "require_new",
     "share",
@@ -37,7 +37,7 @@ class Words(Console):
     """Where words for people go, as they are: no markup in them."""
 
     def __init__(self, stderr: bool = False) -> None:
-        super().__init__(stderr=stderr, highlight=False, soft_wrap=True, markup=False)
+        super().__init__(stderr=stderr, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
     def on_broken_pipe(self) -> None:
         """Raise what rich would end the process for, with exit code 1."""
@@ -58,6 +58,8 @@ class Command:
     """Options with which help shows the command at work."""
     common: ClassVar[tuple[str, ...]] = ()
     """Options that --help shows where it does not show all, which --help-all does."""
+    next_why: ClassVar[str] = ""
+    """What the command that `following` gives is good for."""
     json: bool = False
     """Print one machine-readable object on standard output, everything else on standard error."""
 
@@ -75,6 +77,10 @@ class Command:
     def show(self, result: dict) -> None:
         """Say the result to a person, on standard output."""
 
+    def following(self, result: dict) -> tuple[str, ...]:
+        """Give the words behind `cloak` that people usually type after this one; nothing after a quick one."""
+        return ()
+
 
 def command_line() -> str:
     """Give the command that this process runs, for records and pages."""
@@ -86,9 +92,10 @@ def warn(message: str) -> None:
     err.print(f"cloak: {one_line(message)}", style="yellow")
 
 
-def next_command(command: str, why: str = "") -> None:
+def next_words(command: Command, result: dict) -> None:
     """End a long command with the one that people usually type then."""
-    out.print(f"Next: cloak {command}" + (f"  ({why})" if why else ""))
+    if words := command.following(result):
+        out.print(f"Next: {shlex.join(['cloak', *words])}" + (f"  ({command.next_why})" if command.next_why else ""))
 
 
 def require_new(path: Path) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cloak_core.commands.base import Stopped, err, load_scene, next_command, out, warn
+from cloak_core.commands.base import Stopped, err, load_scene, out, warn
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.options import Computing
@@ -90,6 +90,7 @@ class Demo(Computing):
     """
 
     example = "--out runs/demo"
+    next_why = "what was trained for longer; docs/tutorial.md begins at the beginning"
 
     out: Path = Path("runs/demo")
     """Run folder; a demo that was interrupted there goes on, one that is complete is evaluated again."""
@@ -148,4 +149,6 @@ class Demo(Computing):
         out.print(f"wrote {result['report']}: open it in a browser")
         if shutil.which("cloak") is None:  # make ran the environment's Python; a terminal does not know it yet
             out.print(f"Next: . {Path(sys.executable).parent / 'activate'}, which makes `cloak` a command of yours")
-        next_command("zoo list", "what was trained for longer; docs/tutorial.md begins at the beginning")
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("zoo", "list")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import Command, next_command, out, share
+from cloak_core.commands.base import Command, out, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_people
@@ -24,6 +23,7 @@ class Evaluate(Detecting):
     """Measure a trained cloak on unseen bodies and backgrounds, beside controls."""
 
     example = "runs/first"
+    next_why = "one page with pictures"
 
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote, or zoo:NAME."""
@@ -93,8 +93,9 @@ class Evaluate(Detecting):
             rates = ", ".join(f"{told['success']:.2f}" for told in row["detectors"].values())
             seconds = "" if row["seconds"] is None else f", {row['seconds']:.0f} s"
             out.print(f"step {row['step']}{seconds}: success {rates}")
-        if not str(self.run_folder).startswith("zoo:"):
-            next_command(f"report {shlex.quote(str(self.run_folder))}", "one page with pictures")
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return () if str(self.run_folder).startswith("zoo:") else ("report", str(self.run_folder))
 
 
 BOXES = {True: "white", False: "black", None: "?"}

@@ -25,6 +25,7 @@ class Film(Detecting):
     """
 
     example = "runs/first --scene sample-clothed:unseen --out walk.mp4"
+    next_why = "sheets to print and sew"
 
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote, or zoo:NAME."""
@@ -56,7 +57,7 @@ class Film(Detecting):
         folder = run_path(self.run_folder)
         config = read_run(folder)
         detectors = self.by_spec(self.detector or trained_specs(folder, config))
-        with counted("filming", self.events) as tell:
+        with counted("filming", self.events, "frames") as tell:
             return film(
                 self.run_folder,
                 self.out,
@@ -78,6 +79,9 @@ class Film(Detecting):
         if result["left_out"]:
             out.print(f"in {result['left_out']} of {result['frames']} frames the body was not in the picture")
         out.print(f"wrote {result['out']} and {result['numbers']}")
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("print", str(self.run_folder), "--out", "sheets")
 
 
 def _table(spec: str, told: dict, result: dict) -> Table:

@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.commands.base import Stopped, load_scene, out
 from cloak_core.commands.options import Computing
-from cloak_core.commands.progress import TrainingProgress
+from cloak_core.commands.progress import TrainingProgress, announce
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import is_taken
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -38,6 +38,7 @@ class Harden(Computing):
     """
 
     example = "builtin --steps 300 --out hardened"
+    next_why = "cloaks that are trained against it anew judge it"
 
     spec: Positional[str]
     """Detector to harden: builtin, onnx:FILE, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE], ultralytics:FILE.pt or
@@ -91,7 +92,9 @@ class Harden(Computing):
             "given": [self._given(bodies, name) for name in self.cloak],
         }
         settings = self._planned(student, bodies, backgrounds, material)
-        with TrainingProgress() as progress:
+        if settings.decoys and settings.finished and not self.resume:
+            announce("cloaks to begin with", settings.finished, unit="trainings")
+        with TrainingProgress(label="hardening") as progress:
             result = harden(
                 settings, student, bodies, backgrounds, self.out, **material, resume=self.resume, on_event=progress
             )
@@ -152,8 +155,8 @@ class Harden(Computing):
                 out.print(f"  {lede(result[name])}")
             for path in result["files"]:
                 out.print(f"wrote {path}")
-        out.print("judge it by cloaks that are trained against it anew:")
-        for line in result["judge"]:
-            out.print(f"  {line}")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return tuple(shlex.split(result["judge"][0])[1:])

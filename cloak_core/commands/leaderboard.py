@@ -46,7 +46,9 @@ class Add(Detecting):
     def show(self, result: dict) -> None:
         for folder in result["added"]:
             out.print(f"{folder}: every figure holds")
-        out.print(f"next: cloak leaderboard build {self.to}")
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("leaderboard", "build", str(self.to))
 
 
 @dataclass(kw_only=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import io
 import re
 import types
@@ -16,7 +15,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from cloak_core.commands.base import Command
 from cloak_core.commands.help import FOUR_DEEP, flags, missing, one_command, usage
 from cloak_core.core.settings.values import Parsable
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, suggestion
 
 REGISTRY = ConstructorRegistry()
 
@@ -71,7 +70,9 @@ def _refusal(cls: type[Command], name: str, boxed: str, arguments: list[str]) ->
         # tyro says this of what stands without a name when the first word is an option it does not know.
         needs, words = [value[1].upper()], arguments[:1]
     if not needs:
-        return _one_line(boxed)
+        valued = re.search(r"Unrecognized options: (.*?)\s*[│|]?$", boxed, re.MULTILINE)
+        switch = next((word for word in arguments if valued and word.endswith(f"={valued[1]}")), None)
+        return f"{_flag(switch)}: a switch, which takes no value" if switch else _one_line(boxed)
     strange = f"unknown: {' '.join(words)}; " if words else ""
     return f"{strange}needs {', '.join(needs)}; usage: {usage(cls, name)}"
 
@@ -82,8 +83,9 @@ def _flag(argument: str) -> str:
 
 
 def _unknown_flag(flag: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(flag, list(known), 1, 0.6)
-    return f"unknown option {flag}" + (f"; did you mean {near[0]}?" if near else "")
+    # Compared without dashes, which all have in common.
+    meant = suggestion(flag.lstrip("-"), [name.lstrip("-") for name in known], 0.6)
+    return f"unknown option {flag}{meant.replace('mean ', 'mean --')}"
 
 
 def _one_line(boxed: str) -> str:
@@ -108,15 +110,17 @@ _PYTHON = {
     r"invalid literal for int\(\) with base 10: ('.*')": r"\1 is not a whole number",
     r"could not convert string to float: ('.*')": r"\1 is not a number",
     r"^settings: (?=--)": "",
-    r"Unrecognized options: ": "not understood: ",
+    r"^Missing argument Missing value for argument '(\S+)'.*": r"\1: needs a value",
+    r"^Unrecognized options Unrecognized options: (.*)": r"not understood: \1",
 }
 """What Python and tyro say of a value -> what it means to people."""
 
 
-_CHOICE = r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*)\)\."
+_CHOICE = r"(?:Invalid choice )?invalid choice ('.*') for argument '(\S+)'\. Expected one of \((.*)\)\."
 
 
 def _choice_words(found: re.Match) -> str:
     """Word a wrong choice as settings do; tyro has the choices in the order of a set."""
     known = sorted(found[3].rstrip(",").replace("'", "").split(", "))
-    return f"{found[2]}: {found[1]} is not one of {', '.join(known)}"
+    named = found[2] if found[2].startswith("--") else found[2].upper()
+    return f"{named}: {found[1]} is not one of {', '.join(known)}"

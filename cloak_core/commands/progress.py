@@ -10,24 +10,39 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from cloak_core.commands.base import err, require_new
 
+if TYPE_CHECKING:
+    from cloak_core.studies.store import RunStore
+
 PLAIN_EVERY = 10.0
 """Seconds between lines where there is no terminal."""
+SOON = 2.0
+"""Seconds after which the first line says about how long it takes, in a terminal, too."""
+
+
+def announce(work: str, total: int, seconds: float | None = None, *, unit: str) -> None:
+    """Say at the start of long work what there is to do, and about how long it takes where that is known.
+
+    work: what is done; total, unit: how much of what. What is known later, `Pace` says.
+    """
+    about = "" if seconds is None else f", about {_minutes(seconds)} on this machine"
+    err.print(f"{work}: {total:,} {unit.removesuffix('s') if total == 1 else unit}{about}")
 
 
 class TrainingProgress:
     """Takes a run's events ("start" with the number of steps, then one "step" each) and shows how it goes."""
 
-    def __init__(self, silent: bool = False) -> None:
-        columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[figures]}"))
+    def __init__(self, silent: bool = False, label: str = "training") -> None:
+        columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[figures]}"))
         times = (TimeElapsedColumn(), TimeRemainingColumn())
         self._bar = Progress(*columns, *times, console=err, disable=silent or not err.is_terminal)
-        self._task = self._bar.add_task("training", total=None, figures="")
-        self._silent = silent
+        self._task = self._bar.add_task(label, total=None, figures="")
+        self._silent, self._label = silent, label
         self._total: int | None = None
         self._said = -PLAIN_EVERY
         self._success: float | None = None
@@ -45,8 +60,10 @@ class TrainingProgress:
         if self._silent:
             return
         if event.get("type") in ("start", "resume"):
-            self._total = event.get("steps")
+            self._total, self._success = event.get("steps"), None
             self._pace.begin(event.get("step", 0))
+            if self._total:
+                announce(self._label, self._total - event.get("step", 0), unit="updates")
         elif event.get("type") == "step":
             self._step(event)
 
@@ -60,25 +77,34 @@ class TrainingProgress:
         if self._success is not None:
             figures += f"  success on its last images {self._success:.0%}"
         self._bar.update(self._task, total=self._total, completed=event["step"], figures=figures)
-        if not err.is_terminal and (time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total):
+        pace = self._pace.words(event["step"], self._total)
+        due = time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total
+        if not err.is_terminal and (due or self._pace.is_news):
             self._said = time.monotonic()
-            pace = self._pace.words(event["step"], self._total)
             err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s{pace}")
 
 
 class Pace:
-    """How quick something counted goes, from when it began."""
+    """How quick something counted goes, from the first that was done: what is compiled for it counts for nothing."""
 
     def __init__(self) -> None:
         self.begin(0)
 
     def begin(self, done: int) -> None:
         """Count from here: what is done already took no time of ours."""
-        self._first, self._began = done, time.monotonic()
+        self._first, self._began = done, None
+        self._told = self.is_news = False
+        """`is_news`: `words` says for the first time how long it takes."""
 
     def words(self, done: int, total: int | None) -> str:
         """Say the rate and about how long the rest takes; "" before anything can be said, or after the end."""
+        if self._began is None and done > self._first:
+            self._first, self._began = done, time.monotonic()
+        if self._began is None:
+            return ""
         worked, seconds = done - self._first, time.monotonic() - self._began
+        self.is_news = not self._told and worked > 0 and seconds >= SOON
+        self._told = self._told or self.is_news
         if worked <= 0 or seconds <= 0 or not total or done >= total:
             return ""
         rate = worked / seconds
@@ -87,8 +113,10 @@ class Pace:
 
 
 @contextmanager
-def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, int], None]]:
+def counted(label: str, events: Path | None = None, unit: str = "images") -> Iterator[Callable[[int, int], None]]:
     """Yield `tell(done, total)`, which feeds a bar in a terminal and the lines of `events`.
+
+    The first says what there is to do, in `unit`; as soon as some of it is done, a line says about how long it takes.
 
     These are a run's (`core.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
     `step`, what is done. Both have `time`, the seconds since. InputError: the file is there already.
@@ -101,17 +129,24 @@ def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, i
         log = EventLog(events)
     begun = time.monotonic()
     known: int | None = None
+    last = 0
     pace, said = Pace(), begun
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     with Progress(*columns, console=err, disable=not err.is_terminal) as bar:
         task = bar.add_task(label, total=None)
 
         def tell(done: int, total: int) -> None:
-            nonlocal known, said
+            nonlocal known, said, last
             bar.update(task, completed=done, total=total)
-            if not err.is_terminal and time.monotonic() - said >= PLAIN_EVERY:
+            if (total != known or done < last) and total > 1:  # or other work of the same size
+                pace.begin(done)
+                announce(label, total, unit=unit)
                 said = time.monotonic()
-                err.print(f"{label}: {done} of {total}{pace.words(done, total)}")
+            last = done
+            words = pace.words(done, total)
+            if not err.is_terminal and (pace.is_news or time.monotonic() - said >= PLAIN_EVERY):
+                said = time.monotonic()
+                err.print(f"{label}: {done} of {total}{words}")
             seconds = time.monotonic() - begun
             if log is not None and total != known:
                 log.write({"type": "start", "step": 0, "time": seconds, "steps": total})
@@ -124,6 +159,14 @@ def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, i
         finally:
             if log is not None:
                 log.close()
+
+
+@contextmanager
+def shown_progress(store: RunStore) -> Iterator[None]:
+    """Show how far every training and evaluation of a store is."""
+    with TrainingProgress() as training, counted("evaluating") as images:
+        store.on_event, store.on_images = training, images
+        yield
 
 
 class WorkProgress:

@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.commands.base import command_line, err, out, warn
 from cloak_core.commands.options import Computing, Splitting
+from cloak_core.commands.progress import announce, shown_progress
 from cloak_core.commands.sharing import Sharing
 from cloak_core.core.evaluation.settings import Internal
 from cloak_core.experiments.options import Options, names
@@ -81,7 +82,8 @@ class Reproduce(Splitting, Computing, Sharing):
             raise InputError("--only: names rows of one experiment, not of all")
         self.prepare()
         store = self._store()
-        rows = measure_rows(chosen(find(self.name), store, self.only), store)
+        with shown_progress(store):
+            rows = measure_rows(chosen(find(self.name), store, self.only), store)
         return {"page": "", "experiments": {}, "skipped": {}, "rows": rows}
 
     def _measure(self) -> tuple[dict, dict]:
@@ -96,13 +98,27 @@ class Reproduce(Splitting, Computing, Sharing):
         skipped: dict[str, str] = {}
         for name in self._names():
             try:
-                done[name] = run_experiment(name, store)
+                self._announce(name, store)
+                with shown_progress(store):
+                    done[name] = run_experiment(name, store)
             except NoBlender as missing:
                 if self.name != "all":
                     raise
                 warn(f"{missing}; left out")
                 skipped[name] = str(missing)
         return done, skipped
+
+    @staticmethod
+    def _announce(name: str, store: RunStore) -> None:
+        """Say how many rows there are, and about how long they take where none is done; without rows, the title."""
+        from cloak_core.experiments.plan import plan
+        from cloak_core.experiments.runner import find
+
+        try:
+            rows = plan(find(name), store)
+        except InputError:
+            return err.print(f"{name}: {find(name).title}")
+        announce(name, len(rows), sum(row.seconds for row in rows), unit="rows")
 
     def _parts(self) -> list[tuple[str, Reproduce]]:
         """Split the command by experiment, and each of them by its cells."""
@@ -172,3 +188,8 @@ class Reproduce(Splitting, Computing, Sharing):
                 out.print(f"  {line}")
         for path in filter(None, (result["page"], result.get("published"))):
             out.print(f"wrote {path}")
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        ordered = names()
+        later = ordered[ordered.index(self.name) + 1 :] if self.name in ordered else []
+        return ("reproduce", later[0], "--list") if later and not self.list else ()

@@ -29,6 +29,7 @@ class Sweep(Sharing):
     """
 
     example = "grid.toml --out sweep"
+    next_why = "the run with the highest success in training, on what it never saw"
 
     grid: Positional[Path]
     """TOML file with [base] and [grid]."""
@@ -67,3 +68,8 @@ class Sweep(Sharing):
         out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        done = [row for row in result["results"] if "success" in row]
+        best = max(done, key=lambda row: row["success"], default=None)
+        return () if best is None else ("evaluate", str(self.out / best["out"]))

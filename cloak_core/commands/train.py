@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +10,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.commands.base import RANK, Stopped, next_command, out, warn
+from cloak_core.commands.base import RANK, Stopped, out, warn
 from cloak_core.commands.loggers import LOGGERS, Log
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import TrainingProgress
@@ -42,6 +41,7 @@ class Train(Detecting):
     """
 
     example = "--scene sample:train --logo chest+thighs --detector builtin --out runs/first"
+    next_why = "on what training never saw"
     common = (
         *(
             "scene",
@@ -206,12 +206,13 @@ class Train(Detecting):
         if result.get("stopped"):
             more = "" if self.extend is not None else " with --resume"
             raise Stopped(f"{result['stopped']}; the same command{more} goes on")
-        if not RANK:
-            from cloak_core.detectors.loading import runs_code
 
-            judged = f" --people {shlex.quote(self.people)}" if self.people else ""
-            named = "".join(f" --detector {shlex.quote(spec)}" for spec in self.detector if runs_code(spec))
-            next_command(f"evaluate {shlex.quote(result['out'])}{judged}{named}", "on what training never saw")
+    def following(self, result: dict) -> tuple[str, ...]:
+        from cloak_core.detectors.loading import runs_code
+
+        judged = ("--people", self.people) if self.people else ()
+        named = [word for spec in self.detector if runs_code(spec) for word in ("--detector", spec)]
+        return ("evaluate", result["out"], *judged, *named)
 
 
 def _begun_on_the_cpu(run: Path) -> bool:

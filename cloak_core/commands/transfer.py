@@ -12,6 +12,7 @@ from tyro.conf import UseAppendAction
 
 from cloak_core.commands.base import Stopped, command_line, err, out, share
 from cloak_core.commands.options import Detecting, Splitting
+from cloak_core.commands.progress import announce, shown_progress
 from cloak_core.commands.sharing import Sharing
 from cloak_core.core.settings.components import Hide
 from cloak_core.files.errors import InputError
@@ -94,7 +95,10 @@ class Transfer(Splitting, Detecting, Sharing):
     def work(self) -> None:
         """Fill the cells that are missing."""
         self.prepare()
-        self._matrix().fill(self.rungs)
+        matrix = self._matrix()
+        announce("transfer", *matrix.work(self.rungs), unit="trainings at most")
+        with shown_progress(matrix.store):
+            matrix.fill(self.rungs)
 
     def _parts(self, asked: tuple[str, ...]) -> list[tuple[str, Transfer]]:
         """Split the command by rung and by the judges that share its trainings, each with a name."""
@@ -191,6 +195,10 @@ class Transfer(Splitting, Detecting, Sharing):
             out.print(f"wrote {path}")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        named = [word for spec in self.detector for word in ("--detector", spec)]
+        return ("train", "--preset", "transfer", "--logo", "chest+thighs", *named, "--out", "runs/transfer")
 
 
 def _table(ablation: str, summary: dict) -> Table:

@@ -77,6 +77,9 @@ class Wear(Detecting):
     def show(self, result: dict) -> None:
         show_worn(result, self.settings.threshold)
 
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("assess", self.detector[0], "--people", self.people, "--out", "cards")
+
 
 def expanded(color: str) -> list[str]:
     """List the pictures that a pattern folder, or *.png@tile=0.5, names; any other text as it is."""

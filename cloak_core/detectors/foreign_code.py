@@ -7,17 +7,23 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import hashlib
 import os
+import random
 import re
+import signal
 import sys
 import threading
 import traceback
+import warnings
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import imported_files
@@ -50,26 +56,47 @@ def excused(spec: str, file: Path | None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def set_back() -> Iterator[None]:
-    """Set back what the block changes of the process.
+def set_back(signals: bool = False) -> Iterator[None]:
+    """Set back what the block changes of the process: all of `_KEPT`, and the state of random numbers.
 
-    Gradient mode, torch's default device, type and number of threads, and the working folder: inference scripts set
-    these when they are imported, and we and other detectors would then compute otherwise, or write elsewhere.
+    Inference scripts set such things when they are imported, and we and other detectors would then compute otherwise,
+    or write elsewhere. signals: also who hears Ctrl-C and the request to end, which only the main thread may change.
     """
-    gradients, kind, threads = torch.is_grad_enabled(), torch.get_default_dtype(), torch.get_num_threads()
-    device, folder = torch.get_default_device(), _working_folder()
+    kept = [*_KEPT, *(_SIGNALS if signals and threading.current_thread() is threading.main_thread() else ())]
+    before = [read() for read, _ in kept]
+    seeds = torch.get_rng_state(), np.random.get_state(), random.getstate()
     try:
         yield
     finally:
-        torch.set_grad_enabled(gradients)
-        torch.set_default_dtype(kind)
-        if torch.get_num_threads() != threads:
-            torch.set_num_threads(threads)
-        if torch.get_default_device() != device:
-            # Torch looks at every call where a default is set; the CPU is so without.
-            torch.set_default_device(None if device.type == "cpu" else device)
-        if folder is not None and _working_folder() != folder:
-            os.chdir(folder)
+        for (read, write), value in zip(kept, before, strict=True):
+            if read() != value:
+                write(value)
+        _reseed(*seeds)
+
+
+def _reseed(of_torch: Tensor, of_numpy: tuple, of_python: tuple) -> None:
+    """Set back the global random states that were drawn from or seeded, one draw on: the next call draws others."""
+    if not torch.equal(torch.get_rng_state(), of_torch):
+        torch.set_rng_state(of_torch)
+        torch.rand(1, device="cpu")
+    now = np.random.get_state()
+    if now[2:] != of_numpy[2:] or not np.array_equal(now[1], of_numpy[1]):
+        np.random.set_state(of_numpy)
+        np.random.random()
+    if random.getstate() != of_python:
+        random.setstate(of_python)
+        random.random()
+
+
+def _set_inference(on: bool) -> None:
+    mode = torch.inference_mode(on)
+    mode.__enter__()
+    _entered.append(mode)  # it ends with its object
+
+
+def _set_device(device: torch.device) -> None:
+    # Torch looks at every call where a default is set; the CPU is so without.
+    torch.set_default_device(None if device.type == "cpu" else device)
 
 
 def _working_folder() -> str | None:
@@ -77,6 +104,54 @@ def _working_folder() -> str | None:
         return os.getcwd()
     except OSError:  # somebody has removed it
         return None
+
+
+def _set_folder(folder: str | None) -> None:
+    if folder is not None:
+        os.chdir(folder)
+
+
+def _set_path(path: list[str]) -> None:
+    # What was added stays at the end: the code may import more when it is called, and hides nothing of ours from there.
+    sys.path[:] = path + [place for place in sys.path if place not in path]
+
+
+def _set_output(streams: tuple) -> None:
+    sys.stdout, sys.stderr = streams
+
+
+def _raising() -> list[tuple]:
+    return [rule for rule in warnings.filters if rule[0] == "error"]
+
+
+def _set_raising(rules: list[tuple]) -> None:
+    warnings.filters[:] = [rule for rule in warnings.filters if rule[0] != "error" or rule in rules]
+
+
+def _set_numpy(settings: dict[str, str]) -> None:
+    np.seterr(**settings)
+
+
+_entered: list[torch.inference_mode] = []
+_KEPT: tuple[tuple[Callable[[], object], Callable[..., object]], ...] = (
+    (torch.is_inference_mode_enabled, _set_inference),
+    (torch.is_grad_enabled, torch.set_grad_enabled),
+    (torch.get_default_dtype, torch.set_default_dtype),
+    (torch.get_default_device, _set_device),
+    (torch.get_num_threads, torch.set_num_threads),
+    (torch.are_deterministic_algorithms_enabled, torch.use_deterministic_algorithms),
+    (lambda: torch.is_autocast_enabled("cpu"), lambda on: torch.set_autocast_enabled("cpu", on)),
+    (_working_folder, _set_folder),
+    (lambda: [*sys.path], _set_path),
+    (lambda: (sys.stdout, sys.stderr), _set_output),
+    (_raising, _set_raising),
+    (np.geterr, _set_numpy),
+)
+"""What is set back: how it is read, and written. Inference mode comes first, for it changes the gradients' mode."""
+_SIGNALS = tuple(
+    (functools.partial(signal.getsignal, number), functools.partial(signal.signal, number))
+    for number in (signal.SIGINT, signal.SIGTERM)
+)
 
 
 def culprit(error: BaseException) -> str | None:

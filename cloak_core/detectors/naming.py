@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import logging
-from collections.abc import Iterable
 from pathlib import Path
 
 from cloak_core.detectors.defended.table import DEFENCES, list_defences, split_defence
 from cloak_core.detectors.extras import COPYLEFT
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.specs import Request, parse_spec
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, suggestion
 from cloak_core.files.specs import split_spec
 
 BY_SUFFIX = {
@@ -49,7 +47,7 @@ def full_spec(spec: str) -> str:
         raise InputError(f"detector {spec!r}: names no family; {INCOMPLETE[suffix].format(body)}{options}?")
     family = BY_SUFFIX.get(suffix)
     if family is None:
-        raise InputError(_unknown(spec, request.family))
+        raise InputError(_unknown(spec, request.family, suffix))
     if family in COPYLEFT and family not in _said:
         _said.add(family)
         _log.warning("%s: read through the package %s, which is %s", parts[0], family, COPYLEFT[family])
@@ -70,7 +68,10 @@ def _both_halves(file: Path, spec: str) -> list[str]:
     return [str(file), str(beside)] if other == ".weights" else [str(beside), str(file)]
 
 
-def _unknown(spec: str, family: str) -> str:
+def _unknown(spec: str, family: str, suffix: str) -> str:
+    if suffix and ":" not in spec:
+        known = f"no detector's file ends in {suffix} ({', '.join(BY_SUFFIX)}; cloak detectors list)"
+        return f"detector {spec!r}: {known if Path(spec).exists() else 'no such file'}"
     forms = " | ".join(known.spec for known in FAMILIES.values())
     known = (*FAMILIES, *DEFENCES)
     meant = suggestion(family, known)
@@ -110,9 +111,3 @@ def refuse_typing_errors(spec: str) -> None:
     meant = suggestion(file.name, [path.name for path in folder.iterdir()] if folder.is_dir() else [])
     if meant:
         raise InputError(f"{file}: no such file{meant}")
-
-
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """Write "; did you mean X?" for the nearest of the known names; "" where none is near."""
-    near = difflib.get_close_matches(name, list(known), 1, 0.7)
-    return f"; did you mean {near[0]}?" if near else ""

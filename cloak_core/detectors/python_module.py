@@ -168,8 +168,9 @@ class PythonDetector(Detector):
         for name, tensor in zip(("boxes", "scores"), found, strict=False):
             if tensor.device != images.device:
                 raise self._error(f"its {name} are on {tensor.device}, the images on {images.device}")
-            if not tensor.is_floating_point():
-                raise self._error(f"its {name} are {tensor.dtype}, not floating-point numbers")
+            if not tensor.is_floating_point() or tensor.layout != torch.strided:
+                kind = tensor.dtype if tensor.layout == torch.strided else f"{tensor.layout}, a sparse tensor"
+                raise self._error(f"its {name} are {kind}, not floating-point numbers")
         if found.boxes.device.type == "cpu":
             sizes = (found.boxes[..., 2:] - found.boxes[..., :2]).detach()
             if bool(((sizes < 0).any(dim=2) & (found.scores.detach() > CLEAR)).any()):
@@ -189,7 +190,7 @@ def load_python(request: Request) -> PythonDetector:
     if not file.is_file():
         raise InputError(f"{file}: no such file")
     file = file.absolute()
-    with excused(request.spec, file), set_back():
+    with excused(request.spec, file), set_back(signals=True):
         with watched(file):
             made = _function(file, function)()
         if not isinstance(made, nn.Module):

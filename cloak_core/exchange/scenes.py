@@ -30,6 +30,8 @@ def read_scene(path: str | os.PathLike) -> Bodies:
         check_version(record, "cloak scene", path / "scene.json")
     elif not path.exists():
         raise InputError(f"{path}: no such scene")
+    elif path.suffix.lower() != ".npz":
+        raise InputError(f"{path}: not a scene (a folder with scene.json, or an .npz; cloak scene import reads meshes)")
     arrays = {key: frozen(array) for key, array in read_npz(arrays_path).items()}
     for key in ("vertices", "triangles"):
         if key not in arrays:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import torch
-
-from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.experiments.declaration import Cell, Experiment, test_angles
 from cloak_core.files.errors import InputError
+from cloak_core.studies.pace import Pace, measured_pace
 from cloak_core.studies.store import RunStore
 
 
@@ -26,14 +22,6 @@ class Row:
     """Of the colours, over all repetitions."""
     seconds: float
     """About how long it takes, by the detector's measured pace."""
-
-
-@dataclass(frozen=True)
-class Pace:
-    """Seconds for an image of a detector: forward alone, and with its gradient."""
-
-    forward: float
-    gradient: float
 
 
 def row_name(cell: Cell) -> str:
@@ -60,33 +48,6 @@ def chosen(experiment: Experiment, store: RunStore, only: Sequence[str]) -> list
             raise InputError(f"--only {asked}: no such row ({rows})")
         found |= {number: cells[number] for number in numbers}
     return [found[number] for number in sorted(found)]
-
-
-def measured_pace(detector: Detector, size: int) -> Pace:
-    """Time a detector on two images, the better of two turns each."""
-    images = torch.rand(2, 3, size, size, generator=torch.Generator().manual_seed(0)).to(detector.device)
-
-    def forward() -> None:
-        with torch.no_grad():
-            max_person_score(detector(images))
-
-    def gradient() -> None:
-        pixels = images.clone().requires_grad_()
-        torch.autograd.grad(max_person_score(detector(pixels)).sum(), pixels)
-
-    alone = _timed(forward)
-    return Pace(alone, _timed(gradient) if detector.differentiable else alone)
-
-
-def _timed(work: Callable[[], None]) -> float:
-    seconds = []
-    for _ in range(2):
-        start = time.perf_counter()
-        work()
-        if torch.cuda.is_available():
-            torch.cuda.synchronize()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds) / 2
 
 
 def _cells(experiment: Experiment, store: RunStore) -> list[Cell]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib import import_module
@@ -25,15 +24,13 @@ from cloak_core.experiments.plan import row_name
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
+from cloak_core.studies.pace import in_turn
 from cloak_core.studies.report.charts import Rows
 from cloak_core.studies.report.style import save_figure, style
-from cloak_core.studies.report.words import duration
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Trained, training_times
 from cloak_core.studies.trainings.run_record import environment
 
-SOON = 10.0
-"""Seconds before which nothing is said of the time left."""
 FORMAT = "cloak experiment 1"
 """Of numbers.json."""
 
@@ -103,11 +100,7 @@ def measure_part(experiment: Experiment, store: RunStore, part: int, of: int) ->
 
 def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, list[Trained], Results]]:
     """Train and judge cells, one after the other, and say how far this is."""
-    cells, began = list(cells), time.monotonic()
-    for number, cell in enumerate(cells, 1):
-        spent = time.monotonic() - began
-        left = f"; about {duration(spent / (number - 1) * (len(cells) - number + 1))} left" if spent > SOON else ""
-        store.tell(f"{number} of {len(cells)}: {row_name(cell)}{left}")
+    for cell in in_turn(list(cells), row_name, store.tell):
         own = cell.store or store
         trained = _trained(cell, own)
         yield (

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class InputError(ValueError):
     """Bad input from the user: one clear line that names the file or option. The command line exits with 2.
@@ -32,3 +35,9 @@ def first_line(error: BaseException) -> str:
     except Exception:  # an exception of somebody else's making
         words = ""
     return words.splitlines()[0] if words else type(error).__name__
+
+
+def suggestion(name: str, known: Iterable[str], least: float = 0.7) -> str:
+    """Write "; did you mean X?" for the nearest of the known names; "" where none is at `least` this similar."""
+    near = difflib.get_close_matches(name, list(known), 1, least)
+    return f"; did you mean {near[0]}?" if near else ""

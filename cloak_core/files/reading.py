@@ -51,7 +51,7 @@ def open_regular(path: str | os.PathLike, limit: int = MAX_BYTES) -> Iterator[Bi
     try:
         # Opening a named pipe waits for somebody to write into it unless told not to.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or first_line(error)}") from None
@@ -163,7 +163,8 @@ def read_npz(path: str | os.PathLike) -> dict[str, np.ndarray]:
             known = (ValueError, EOFError, SyntaxError, zipfile.BadZipFile, NotImplementedError, RuntimeError)
             if not isinstance(error, known) and type(error).__module__ not in ("zlib", "_lzma", "lzma"):
                 raise
-            raise InputError(f"{path}: not a readable .npz archive ({first_line(error)})") from None
+            words = "another kind of file" if str(error) == "File is not a zip file" else first_line(error)
+            raise InputError(f"{path}: not a readable .npz archive ({words})") from None
 
 
 def _read_archive(file: BinaryIO) -> dict[str, np.ndarray]:
@@ -216,7 +217,10 @@ def _read_array(file: io.BufferedIOBase, size: int) -> np.ndarray:
 
 def _read_header(file: io.BufferedIOBase) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether columns come first, and type of a .npy file's array."""
-    version = np.lib.format.read_magic(file)
+    try:
+        version = np.lib.format.read_magic(file)
+    except ValueError:
+        raise ValueError("another kind of file") from None
     reader = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,

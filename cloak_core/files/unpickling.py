@@ -93,7 +93,7 @@ def read_pickled_arrays(path: Path) -> dict[str, object]:
     except (InputError, MemoryError):
         raise
     except Exception as error:  # damage shows itself as almost any error of codecs, struct and numpy
-        words = f"{type(error).__name__}: {first_line(error)[:160]}"
+        words = first_line(error)[:160] if isinstance(error, ValueError) else "damaged, or another kind of file"
         raise InputError(f"{path}: not a readable pickle ({words})") from None
 
 

@@ -90,6 +90,7 @@ def hand_out(executor: Executor | None, jobs: Sequence[Job], tell: Tell, unit: s
         for count, outcome in enumerate(outcomes, 1):
             yield outcome
             words = f"failed: {outcome.error}" if outcome.error else f"{outcome.seconds:.0f} s"
-            minutes = (time.perf_counter() - started) / 60 * (len(jobs) / count - 1)
-            rest = f", about {minutes:.0f} min left" if count < len(jobs) else ""
+            left = (time.perf_counter() - started) * (len(jobs) / count - 1)
+            about = f"{left / 60:.0f} min" if left >= 90 else f"{left:.0f} s"
+            rest = f", about {about} left" if count < len(jobs) else ""
             tell(f"{unit} {count} of {len(jobs)}: {outcome.job.name}: {words}{rest}")

@@ -35,6 +35,7 @@ from cloak_core.studies.cloaked import Cloaked
 from cloak_core.studies.data_split import DataSplit, backgrounds_record, bodies_record
 from cloak_core.studies.evaluate import make_renderer
 from cloak_core.studies.printed_cloth import PrintedCloth
+from cloak_core.studies.report.words import short_name
 from cloak_core.studies.training_store import Trained, Training, TrainingStore, content_key
 from cloak_core.studies.wearing.clothes import Clothes, clothes_of, content_of
 from cloak_core.studies.wearing.renderer import PeopleRenderer
@@ -100,8 +101,7 @@ class RunStore(TrainingStore):
         logo = make_logo(bodies, faces)
         with _precision([self.split.detectors[spec] for spec in specs], precision) as detectors:
             training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self._people)
-            changed = ", ".join(f"{name}={value}" for name, value in changes.items()) or "default settings"
-            return self.train_once(training, self.folder(training), changed)
+            return self.train_once(training, self.folder(training), _training_words(specs, seed, changes))
 
     @cached_property
     def _people(self) -> Fits:
@@ -251,6 +251,7 @@ class RunStore(TrainingStore):
                 return measure(renderer, self.split.detectors, tuple(renderer.clothes), (), **told)
 
         shown = {"run": "people", "settings": asdict(settings), "clothes": list(record["clothes"])}
+        shown |= {"detectors": self.specs}
         return self._kept(record, shown, look)
 
     def _kept(self, record: Mapping[str, object], shown: Mapping[str, object], look: Callable[[], Results]) -> Results:
@@ -258,7 +259,7 @@ class RunStore(TrainingStore):
         folder = self.out / "evaluations" / content_key(record, self.options.device)
         with self.locked(folder):
             if not (folder / "scores.npz").exists():
-                self.tell(f"evaluating {shown['run']} as {folder.name}")
+                self.tell(f"evaluating{' on people,' * ('people' in record)} by {_short(shown['detectors'])}")
                 results = look()
                 with new_folder(folder) as temporary:
                     write_json(temporary / "config.json", dict(shown))
@@ -268,6 +269,16 @@ class RunStore(TrainingStore):
     @cached_property
     def _detector_records(self) -> dict[str, dict]:
         return {spec: detector_record(detector) for spec, detector in self.split.detectors.items()}
+
+
+def _training_words(specs: Sequence[str], seed: int, changes: Mapping[str, object]) -> str:
+    """Say what is trained: against what, and by which settings; a run that it begins with has no name for people."""
+    settings = "".join(f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds"))
+    return f"against {_short(specs)}{settings}, seed {seed}"
+
+
+def _short(specs: Sequence[str]) -> str:
+    return ", ".join(map(short_name, specs))
 
 
 @contextlib.contextmanager

@@ -114,6 +114,7 @@ class Sweep:
         with written(self.out):
             for name in ("runs", "results"):
                 (self.out / name).mkdir(parents=True, exist_ok=True)
+        tell(f"{len(left)} of {len(self.runs)} runs to train")
         with contextlib.ExitStack() as stack:
             try:
                 stack.enter_context(lock(self.out / ".lock"))

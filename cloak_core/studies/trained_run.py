@@ -35,7 +35,7 @@ def read_run(folder: Path) -> dict:
     if not folder.is_dir():
         if folder.suffix.lower() in BY_SUFFIX:
             raise InputError(f"{folder}: a detector, not a run folder: name the run, and --detector {folder}")
-        raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
+        raise InputError(f"{folder}: {'a file, not a run folder' if folder.exists() else 'no such folder'}")
     if not (folder / "config.json").exists():
         raise InputError(f"{folder}: not a run folder (no config.json in it)")
     if not (folder / "colors.npy").exists():

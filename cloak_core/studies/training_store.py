@@ -121,7 +121,7 @@ class TrainingStore:
         """
         with self.locked(folder):
             if not self.is_done(folder):
-                self.tell(f"training {folder.name} ({words})")
+                self.tell(f"training {words}")
                 result = self._go_on(training, folder)
                 if result.stopped:
                     raise Stopped(f"{folder}: stopped at step {result.step}: {result.stopped}")

@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import remove_leftovers, write_json, written
+from cloak_core.studies.pace import in_turn, measured_pace
 from cloak_core.studies.report.charts import group
 from cloak_core.studies.report.page import write_page
 from cloak_core.studies.report.plots import transfer_map
@@ -184,15 +186,33 @@ class Matrix:
         """
         for judged in self.judges:
             self.surrogates_for(judged)
-        for ablation in ablation_names(asked):
-            for judged in self.judges:
-                cell = self.cell(ablation, judged)
-                file = cell_file(self.store.out, ablation, judged)
-                with written(file.parent):
-                    file.parent.mkdir(parents=True, exist_ok=True)
-                remove_leftovers(file)
-                write_json(file, cell)
-                self.store.tell(f"{ablation}: {short_name(judged)} ({cell['kin']}) {percent(cell['success'])}")
+        cells = list(product(ablation_names(asked), self.judges))
+        name = lambda cell: f"{cell[0]}, judged by {short_name(cell[1])}"
+        for ablation, judged in in_turn(cells, name, self.store.tell):
+            cell = self.cell(ablation, judged)
+            file = cell_file(self.store.out, ablation, judged)
+            with written(file.parent):
+                file.parent.mkdir(parents=True, exist_ok=True)
+            remove_leftovers(file)
+            write_json(file, cell)
+            self.store.tell(f"{ablation}: {short_name(judged)} ({cell['kin']}) {percent(cell['success'])}")
+
+    def work(self, asked: Sequence[str]) -> tuple[int, float]:
+        """Count the trainings of these ablations, and about how many seconds they take where none is done yet."""
+        detectors, size = self.store.split.detectors, self.store.options.size
+        paces = {spec: measured_pace(detectors[spec], size).gradient for spec in self.surrogates}
+        count, seconds = 0, 0.0
+        for ablation, judges in product(ablation_names(asked), self.groups()):
+            surrogates = self.surrogates_for(judges[0])
+            photographs = self.store.split.people is not None
+            changes = dict(self.cameras.training) | ablation_settings(ablation, photographs)
+            settings = self.store.train_settings(specs=surrogates, **changes)
+            images = settings.total_steps(len(self.store.split.backgrounds)) * settings.run.batch
+            asked_at_once = (settings.objective.detectors_per_step or len(surrogates)) / len(surrogates)
+            count += len(self.store.options.seed_list)
+            each = asked_at_once * sum(paces[spec] for spec in surrogates)
+            seconds += len(self.store.options.seed_list) * images * each
+        return count, seconds
 
     def groups(self) -> list[tuple[str, ...]]:
         """Group the judged detectors by their surrogates: those together share all trainings."""

@@ -23,7 +23,7 @@ from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.caching import cache_folder
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, suggestion
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import parse_json, read_json, read_npz
 from cloak_core.files.specs import without_folders
@@ -64,7 +64,7 @@ class Entry:
 def read_entry(folder: Path, name: str) -> Entry:
     """Read entry NAME of a folder. InputError: there is none, or its files are damaged or of another version."""
     if not _NAME.fullmatch(name) or not (folder / f"{name}.json").exists():
-        raise InputError(f"zoo:{name}: no such entry (known: {', '.join(names(folder)) or 'none'}; cloak zoo list)")
+        raise InputError(f"zoo:{name}: no such entry{suggestion(name, names(folder))} (cloak zoo list)")
     path = folder / f"{name}.npz"
     record, arrays = read_json(folder / f"{name}.json"), read_npz(path)
     if record.get("format") != FORMAT:

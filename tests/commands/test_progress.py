@@ -2,9 +2,11 @@
 
 import pytest
 
+from cloak_core.cli import load
 from cloak_core.commands.progress import TrainingProgress, counted
 from cloak_core.core.events import read_events
 from cloak_core.files.errors import InputError
+from cloak_core.studies.pace import in_turn
 
 
 def test_a_count_is_told_as_a_runs_events_are(tmp_path):
@@ -24,28 +26,48 @@ def test_a_count_is_told_as_a_runs_events_are(tmp_path):
         pass
 
 
-def test_without_a_file_or_a_terminal_nothing_is_written(tmp_path, monkeypatch, capsys):
+def test_without_a_file_or_a_terminal_one_line_says_what_there_is_to_do(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with counted("counting") as tell:
         tell(1, 2)
     said = capsys.readouterr()
-    assert not said.out and not said.err.strip() and not list(tmp_path.iterdir())
+    assert not said.out and said.err.strip() == "counting: 2 images" and not list(tmp_path.iterdir())
 
 
-def test_a_log_hears_every_so_often_how_long_it_takes(monkeypatch, capsys):
-    clock = iter(range(0, 10_000, 4))
+def test_a_log_hears_at_the_start_what_there_is_to_do_and_soon_how_long_it_takes(monkeypatch, capsys):
+    clock = iter(range(0, 10_000))
     monkeypatch.setattr("cloak_core.commands.progress.time.monotonic", lambda: float(next(clock)))
-    with counted("counting") as tell:
-        for done in range(1, 9):
-            tell(done, 100)
-    said = capsys.readouterr().err
-    assert "counting: " in said and " of 100; " in said and "min left" in said
+    with counted("counting", unit="beans") as tell:
+        for done in range(0, 9):
+            tell(done, 1000)
+    first, second, *_ = capsys.readouterr().err.splitlines()
+    assert first == "counting: 1,000 beans"
+    assert second.startswith("counting: 2 of 1000; ") and second.endswith(" min left")
 
 
-def test_training_says_its_pace_and_whose_success_it_is(capsys):
+def test_training_says_its_pace_and_whose_success_it_is(monkeypatch, capsys):
+    clock = iter(range(0, 10_000, 2))
+    monkeypatch.setattr("cloak_core.commands.progress.time.monotonic", lambda: float(next(clock)))
     with TrainingProgress() as progress:
         progress({"type": "start", "step": 0, "steps": 1000})
-        for step in (1, 1000):
+        for step in (1, 2, 1000):
             progress({"type": "step", "step": step, "loss": 1.0, "success": 0.5, "time": 1.0 * step})
-    first, last = capsys.readouterr().err.strip().splitlines()
-    assert "success on its last images 50%" in first and "left" in first and "left" not in last
+    start, first, second, last = capsys.readouterr().err.strip().splitlines()
+    assert start == "training: 1,000 updates" and "left" not in first and "left" not in last
+    assert "success on its last images 50%" in second and second.endswith("left")
+
+
+def test_a_list_of_work_is_counted_with_the_time_left(monkeypatch):
+    clock = iter(range(0, 10_000, 60))
+    monkeypatch.setattr("cloak_core.studies.pace.time.monotonic", lambda: float(next(clock)))
+    said: list[str] = []
+    assert list(in_turn(["a", "b", "c"], str.upper, said.append)) == ["a", "b", "c"]
+    assert said == ["1 of 3: A", "2 of 3: B; about 4 min 0 s left", "3 of 3: C; about 1 min 30 s left"]
+
+
+LONG = ("train", "evaluate", "wear", "assess", "harden", "sweep", "transfer", "reproduce", "film", "demo")
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_long_commands_end_with_the_next_one(name):
+    assert "following" in vars(load(name)), f"cloak {name} says nothing of what comes next"

@@ -89,7 +89,8 @@ def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
     record = sweep.write_results()
     assert (record["runs"], record["done"]) == (4, 4)
     assert [r["varied"] for r in record["results"]] == [run.varied for run in runs]
-    assert said[0].startswith("run 1 of 4: lr=0.02, seed=0: ") and said[0].endswith(" min left") and len(said) == 4
+    assert said.pop(0) == "4 of 4 runs to train"
+    assert said[0].startswith("run 1 of 4: lr=0.02, seed=0: ") and said[0].endswith(" left") and len(said) == 4
     assert said[-1].startswith("run 4 of 4: ") and "left" not in said[-1]
     for run, result in zip(runs, record["results"], strict=True):
         alone = train_alone(tmp_path / "alone" / run.file_label, steps=4, **run.varied)

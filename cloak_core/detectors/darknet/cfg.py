@@ -7,6 +7,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_text
 
 MAX_BYTES = 1 << 20
+MAX_NUMBER = 2**31 - 1
+"""Darknet reads its integers as C does; a size beyond them is a typing error."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,12 @@ class Section:
 
     def _number(self, key, text, kind):
         try:
-            return kind(text)
+            value = kind(text)
         except ValueError:
-            raise self.error(f"{key}={text} is not {'an integer' if kind is int else 'a number'}") from None
+            value = None
+        if value is None or not abs(value) <= MAX_NUMBER:
+            raise self.error(f"{key}={text} is not {'an integer' if kind is int else 'a number'}")
+        return value
 
 
 def parse_cfg(text: str, source: str = "cfg") -> list[Section]:

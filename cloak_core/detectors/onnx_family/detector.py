@@ -173,7 +173,11 @@ def _first_outputs(file: ModelFile, network: Converted | Session, size: tuple[in
     except Exception as error:  # of onnx2torch's modules, or onnxruntime's own
         if isinstance(network, Converted):
             raise _fails(error) from None
-        raise InputError(f"{file.path}: does not run at {size[0]}x{size[1]} ({first_line(error)[:160]})") from None
+        raise _does_not_run(file, size, error) from None
+
+
+def _does_not_run(file: ModelFile, size: tuple[int, int], error: Exception) -> InputError:
+    return InputError(f"{file.path}: does not run at {size[0]}x{size[1]} ({first_line(error)[:160]})")
 
 
 def _layout(
@@ -212,7 +216,12 @@ def _compare(detector: OnnxDetector, file: ModelFile, fold: bool) -> None:
 
     def look() -> Parity:
         session = Session(file.session(torch.get_num_threads()), file)
-        return compare(lambda x: decode(converted(x), size), lambda x: decode(session(x), size), images)
+        try:
+            return compare(lambda x: decode(converted(x), size), lambda x: decode(session(x), size), images)
+        except InputError:
+            raise
+        except Exception as error:  # onnxruntime's own, where it finds a file wrong that torch runs
+            raise _does_not_run(file, size, error) from None
 
     settled = decode if is_dataclass(decode) else ""  # what a layout found out; functions have no words that last
     parity = remembered(f"{detector.source} {settled}{'' if fold else ' as it is'}", look)

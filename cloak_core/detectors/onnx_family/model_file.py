@@ -91,7 +91,7 @@ def read_model(path: Path) -> ModelFile:
     """Read a file. InputError: no ONNX; weights outside its folder; several inputs; an input that is no batch of RGB
     images."""
     model, digest = read_proto(path)
-    _as_float32(model)
+    _as_float32(model, path)
     weights = {initializer.name for initializer in model.graph.initializer}
     inputs = [value for value in model.graph.input if value.name not in weights]
     if len(inputs) != 1:
@@ -167,8 +167,11 @@ def _load_outside(model: onnx.ModelProto, path: Path) -> list[np.ndarray]:
     return found
 
 
-def _as_float32(model: onnx.ModelProto) -> None:
-    """Convert half precision to single, in place: torch has no fast half-precision convolutions on a CPU."""
+def _as_float32(model: onnx.ModelProto, path: Path) -> None:
+    """Convert half precision to single, in place: torch has no fast half-precision convolutions on a CPU.
+
+    InputError: a tensor holds more or fewer numbers than its shape says.
+    """
     from onnx import TensorProto, numpy_helper
 
     graph, half = model.graph, TensorProto.FLOAT16
@@ -181,7 +184,11 @@ def _as_float32(model: onnx.ModelProto) -> None:
             attribute.i = TensorProto.FLOAT
     for tensor in (*graph.initializer, *(a.t for a in attributes if a.HasField("t"))):
         if tensor.data_type == half:
-            tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float32), tensor.name))
+            try:
+                values = numpy_helper.to_array(tensor)
+            except (ValueError, TypeError) as error:
+                raise InputError(f"{path}: its tensor {tensor.name} is damaged ({first_line(error)[:120]})") from None
+            tensor.CopyFrom(numpy_helper.from_array(values.astype(np.float32), tensor.name))
 
 
 def _literal(said: dict[str, str], key: str) -> object:

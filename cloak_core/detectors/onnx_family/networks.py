@@ -44,16 +44,16 @@ def to_torch(model: onnx.ModelProto, fold: bool = True) -> fx.GraphModule:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             graph = convert(model)
+        graph.eval().requires_grad_(False)
+        simplify(graph)
+        if fold:
+            fold_batch_norm(graph)
+        activate_in_place(graph)
     except NotImplementedError as error:
         missing = getattr(error, "args", [""])[0]
         raise NotConvertible(f"no translation for {missing}") from None
-    except Exception as error:  # whatever a translation meets that it did not expect
+    except Exception as error:  # whatever a translation, or our rewriting, meets that it did not expect
         raise NotConvertible(f"{type(error).__name__}: {first_line(error)[:120]}") from None
-    graph.eval().requires_grad_(False)
-    simplify(graph)
-    if fold:
-        fold_batch_norm(graph)
-    activate_in_place(graph)
     return graph
 
 

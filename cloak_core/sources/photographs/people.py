@@ -104,7 +104,10 @@ def _listed(spec: str) -> list[str]:
         names = [line for line in lines if line and not line.startswith("#")]
         if selection is not None or not names:
             raise InputError(f"{spec}: a list of people's files holds one a line, each with its own selection")
-        return [file for name in names for file in _files(os.path.join(os.path.dirname(path), name))]
+        places = [os.path.join(os.path.dirname(path), name) for name in names]
+        if absent := [place for place in places if "*" not in place and not Path(split_selection(place)[0]).is_file()]:
+            raise InputError(f"{path}: a list of people's files, and {absent[0]} is no file")
+        return [file for place in places for file in _files(place)]
     if "*" in path and not Path(path).is_file():
         folder, pattern = os.path.split(path)
         files = sorted(str(file) for file in Path(folder or ".").glob(pattern) if file.is_file())

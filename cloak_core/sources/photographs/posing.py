@@ -21,7 +21,9 @@ LENGTHS = (0.85, 1.2)
 """How much shorter or longer than the rig's a limb may be before its depth gives way."""
 HIDDEN = 0.5
 """Visibility below which an arm is taken to be behind the person."""
-FORWARD = np.array([0.0, 0.0, 1.0])
+UPWARD, FORWARD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+LEAST_SCALE, TINY = 1.0, 1e-9
+"""Pixels per metre, and pixels: less is of landmarks that fall together."""
 LIMBS = {
     "arm": ("shoulder", "elbow"),
     "forearm": ("elbow", "wrist"),
@@ -69,8 +71,8 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
     for segment, joint in (("pelvis", "hip"), ("chest", "shoulder")):
         across = at[f"l_{joint}"] - at[f"r_{joint}"]
         rest_across = np.linalg.norm(rig.joints[f"l_{joint}"] - rig.joints[f"r_{joint}"])
-        ahead = unit(np.cross(across, along))
-        up = unit(along)
+        ahead = _unit(np.cross(across, along), FORWARD)
+        up = _unit(along, UPWARD)
         turned[segment] = np.stack([np.cross(up, ahead), up, ahead], axis=1)
         width = widths.get(segment, 1.0)
         columns = (across / rest_across * width, along / rest_along[1], ahead * scale * width)
@@ -81,7 +83,8 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
             name = f"{side}_{limb}"
             rest = rig.joints[f"{side}_{end}"] - rig.joints[f"{side}_{start}"]
             posed = at[f"{side}_{end}"] - at[f"{side}_{start}"]
-            turned[name] = smallest_turn(unit(turned[parent[limb]] @ rest), unit(posed)) @ turned[parent[limb]]
+            hanging = unit(turned[parent[limb]] @ rest)
+            turned[name] = smallest_turn(hanging, _unit(posed, hanging)) @ turned[parent[limb]]
             stretched = _stretch(
                 unit(rest), np.linalg.norm(posed) / np.linalg.norm(rest), scale * widths.get(name, 1.0)
             )
@@ -105,6 +108,11 @@ def seen_from(landmarks: Landmarks, rig: Rig) -> str:
     return "front" if away <= 45 else "back" if away >= 135 else "side"
 
 
+def _unit(vector: np.ndarray, otherwise: np.ndarray) -> Float[np.ndarray, " 3"]:
+    """Normalise a vector; `otherwise` where landmarks that fall together leave it no direction."""
+    return unit(vector) if np.linalg.norm(vector) > TINY else otherwise
+
+
 def _stretch(axis: np.ndarray, along: Number, across: Number) -> Float[np.ndarray, "3 3"]:
     outer = np.outer(axis, axis)
     return across * (np.eye(3) - outer) + along * outer
@@ -121,7 +129,7 @@ def _pixels_per_metre(landmarks: Landmarks, rig: Rig) -> float:
                 continue
             rest = np.linalg.norm(rig.joints[one] - rig.joints[other])
             ratios.append(np.linalg.norm(joints[one] - joints[other]) / rest)
-    return float(np.percentile(ratios, 50 if landmarks.depth is not None else 75))
+    return max(float(np.percentile(ratios, 50 if landmarks.depth is not None else 75)), LEAST_SCALE)
 
 
 def _view(landmarks: Landmarks, name: str) -> Float[np.ndarray, " 3"]:
@@ -198,7 +206,7 @@ def _head(
     towards = np.array([middle[0], -middle[1], neck[2]]) - neck
     rest = rig.joints["head"] + np.array([0.0, 0.03, 0.02]) - rig.joints["neck"]
     size = np.clip(np.linalg.norm(towards) / np.linalg.norm(rest), 0.8 * scale, 1.25 * scale)
-    return smallest_turn(unit(chest @ rest), unit(towards)) @ chest * size, neck, rig.joints["neck"]
+    return smallest_turn(unit(chest @ rest), _unit(towards, UPWARD)) @ chest * size, neck, rig.joints["neck"]
 
 
 def _foot(landmarks: Landmarks, at: dict, side: str, pelvis: np.ndarray, scale: Number) -> Float[np.ndarray, "3 3"]:

@@ -63,7 +63,7 @@ def list_subjects(
     InputError: no such folder, nothing in it, a CSV that is none, or names a file outside the folder.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder")
+        raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
     if table is None and (folder / LIST).exists():
         table = folder / LIST
     found = list(_by_folders(folder, leave) if table is None else _by_table(folder, table))
