@@ -13,7 +13,7 @@ import numpy as np
 
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.values import Range
-from cloak_core.core.source import Plan
+from cloak_core.core.source import Dealt, Plan
 
 _EPOCH, _STEP = 0, 1
 """Streams of random numbers, kept apart."""
@@ -88,7 +88,7 @@ class Sampler:
         random = np.random.default_rng([run.seed, _STEP, step])
         far = augmentation.translation
         shift = random.integers(-far, far, (count, 2), endpoint=True)
-        shown = self.source.draw(step, images, member, direction, random)
+        shown = self.source.draw(Dealt(step, images, member, direction), random)
         return Draws(
             background=background,
             shift=shift if augmentation.translation_per == "image" else np.repeat(shift[:1], count, axis=0),

@@ -16,6 +16,19 @@ _CHOICE = 4
 """Stream of random numbers, apart from those of `sampling`."""
 
 
+@dataclass(frozen=True, eq=False)
+class Dealt:
+    """What the images of a step must show; every column has length B."""
+
+    step: int
+    images: Int[np.ndarray, " B"]
+    """Their numbers, counted from the start of the run."""
+    member: Int[np.ndarray, " B"]
+    """Of `Plan.members`."""
+    direction: Int[np.ndarray, " B"]
+    """Of `Plan.directions`."""
+
+
 @runtime_checkable
 class Plan(Protocol):
     """Decides whom images show, and from where."""
@@ -27,18 +40,8 @@ class Plan(Protocol):
     is_fresh: bool
     """Whether every image has a view of its own, so that keeping views gains nothing."""
 
-    def draw(
-        self,
-        step: int,
-        images: Int[np.ndarray, " B"],
-        member: Int[np.ndarray, " B"],
-        direction: Int[np.ndarray, " B"],
-        random: np.random.Generator,
-    ) -> dict[str, np.ndarray]:
-        """Draw what the images of a step show: columns of length B.
-
-        images: their numbers, counted from the start of the run; random: the step's generator.
-        """
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw what the images of a step show: columns of length B. random: the step's generator."""
         ...
 
 
@@ -90,18 +93,10 @@ class Mixture:
         """Whether both are."""
         return self.first.is_fresh
 
-    def draw(
-        self,
-        step: int,
-        images: Int[np.ndarray, " B"],
-        member: Int[np.ndarray, " B"],
-        direction: Int[np.ndarray, " B"],
-        random: np.random.Generator,
-    ) -> dict[str, np.ndarray]:
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
         """See `Source`. The second draws from streams of its own, so that the first draws as it does alone."""
-        chosen = np.random.default_rng([self.seed, _CHOICE, step]).random(len(images)) < self.rate
-        columns = self.first.draw(step, images, member, direction, random)
-        return columns | self.second.draw(step, images, member, direction, random) | {"second": chosen}
+        chosen = np.random.default_rng([self.seed, _CHOICE, dealt.step]).random(len(dealt.images)) < self.rate
+        return self.first.draw(dealt, random) | self.second.draw(dealt, random) | {"second": chosen}
 
     def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """See `Source`."""

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int
+from jaxtyping import Float32
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.settings.components import ViewSettings
 from cloak_core.core.settings.values import Range
+from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.core.worn import Worn
@@ -52,17 +53,10 @@ class BodyPlan:
         spread = views.angle_jitter, views.elevation_jitter, views.angles.width
         return any(spread) or views.distance.width > 0 or views.elevation.width > 0
 
-    def draw(
-        self,
-        step: int,
-        images: Int[np.ndarray, " B"],
-        member: Int[np.ndarray, " B"],
-        direction: Int[np.ndarray, " B"],
-        random: np.random.Generator,
-    ) -> dict[str, np.ndarray]:
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
         """See `Source`. Columns: pose and outfit, int64; azimuth and elevation, degrees; distance, metres."""
         views = self.settings
-        count = len(images)
+        count = len(dealt.images)
 
         def spread(values: Range) -> np.ndarray:
             return random.uniform(values.low, values.high, count)
@@ -72,9 +66,9 @@ class BodyPlan:
         outfit = random.integers(outfits, size=count)
         turn = random.uniform(0, views.angles.width, count)
         return {
-            "pose": member,
+            "pose": dealt.member,
             "outfit": outfit,
-            "azimuth": np.array(views.angles.starts)[direction] + turn + jitter,
+            "azimuth": np.array(views.angles.starts)[dealt.direction] + turn + jitter,
             "elevation": spread(views.elevation) + random.standard_normal(count) * views.elevation_jitter,
             "distance": spread(views.distance),
         }

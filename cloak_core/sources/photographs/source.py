@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, Int64
 
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.settings.people import PeopleSettings
+from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
 from cloak_core.core.worn import Worn
 from cloak_core.sources.photographs.fits import Fits
@@ -68,18 +69,11 @@ class PeopleSource:
         """People."""
         return len(self.fits)
 
-    def draw(
-        self,
-        step: int,
-        images: Int[np.ndarray, " B"],
-        member: Int[np.ndarray, " B"],
-        direction: Int[np.ndarray, " B"],
-        random: np.random.Generator,
-    ) -> dict[str, np.ndarray]:
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
         """See `Source`. Column `person`: everybody equally often, in random order."""
         if isinstance(self.fits, Fits):  # those of the next step are read from disk meanwhile
-            self.fits.expect(self._people_of(images + len(images)).tolist())
-        return {"person": self._people_of(images)}
+            self.fits.expect(self._people_of(dealt.images + len(dealt.images)).tolist())
+        return {"person": self._people_of(dealt.images)}
 
     def _people_of(self, images: Int[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
         rounds, places = np.divmod(images, self.members)
