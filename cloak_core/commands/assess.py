@@ -53,7 +53,7 @@ class Assess(Splitting, Detecting, Sharing):
     """People in photographs, as in cloak wear: they wear the largest cloak, another detector's and the patterns, and
     come first."""
     patterns: tuple[str, ...] = ()
-    """Published patterns to wear: FILE.png, as cloth 0.5 m wide, FILE.png@tile=METRES, FILE.png@patch=METRES, or a
+    """Published patterns to wear: FILE.png, as cloth 0.25 m wide, FILE.png@tile=METRES, FILE.png@patch=METRES, or a
     folder with patterns.toml."""
     zoo: UseAppendAction[tuple[str, ...]] = ()
     """Entries of the zoo to show it (default: all that these bodies can wear)."""

@@ -17,7 +17,7 @@ class Options(StoreOptions):
     defence: UseAppendAction[tuple[str, ...]] = ()
     """Of `defences`: these, as they stand before a detector, jpeg=50 (default: seven of them)."""
     patterns: tuple[str, ...] = ()
-    """Of `hardened`: published patterns that shirt and trousers show, too: FILE.png, 0.5 m wide, or
+    """Of `hardened`: published patterns that shirt and trousers show, too: FILE.png, 0.25 m wide, or
     FILE.png@tile=METRES."""
 
 

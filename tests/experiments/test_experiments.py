@@ -166,7 +166,7 @@ def test_the_hardened_are_attacked_from_where_the_others_cloaks_ended(
     assert begun[0]["changes"] == f"from the cloak of {short_names(split.detectors)[first]}"
     assert begun[1]["changes"].startswith("black box queries 40, from the cloak of")
     worn = [row for row in rows if row["attack"] == "published"]
-    assert [(row["detector"], row["changes"]) for row in worn] == [(first, "red@tile=0.5"), (second, "red@tile=0.5")]
+    assert [(row["detector"], row["changes"]) for row in worn] == [(first, "red@tile=0.25"), (second, "red@tile=0.25")]
     assert worn[0]["success"] < 0.5  # a red shirt is no disguise from what reports red
     starts = [json.loads(path.read_text())["start"] for path in (tmp_path / "runs").glob("*/config.json")]
     assert len(starts) - starts.count(None) == 2

@@ -184,8 +184,8 @@ def controls() -> list[Clothes]:
 
 
 def cloth_spec(pattern: str) -> str:
-    """Name a pattern's width, where it is only FILE.png: 0.5 m."""
-    return pattern if "@tile=" in pattern or "@patch=" in pattern else f"{pattern}@tile=0.5"
+    """Name a pattern's width, where it is only FILE.png: 0.25 m, at which most hid most (docs/reports/photographs.md)."""
+    return pattern if "@tile=" in pattern or "@patch=" in pattern else f"{pattern}@tile=0.25"
 
 
 def read_clothes(spec: str) -> Clothes:
