@@ -184,7 +184,7 @@ def controls() -> list[Clothes]:
 
 
 def cloth_spec(pattern: str) -> str:
-    """Name a pattern's width, where it is only FILE.png: 0.25 m, at which most hid most (docs/reports/photographs.md)."""
+    """Name a pattern's width where it is only FILE.png: 0.25 m, where most hide most (docs/reports/photographs.md)."""
     return pattern if "@tile=" in pattern or "@patch=" in pattern else f"{pattern}@tile=0.25"
 
 
