@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from cloak_core.studies.report.style import CYCLE, MARKERS, WIDTH, new_figure, p
 from cloak_core.studies.wearing.clothes import read_clothes
 from cloak_core.studies.wearing.widths import AUTO, WIDTHS, width_curve
 
+PRINT = "print:"
 RATES = {"success": "at 0.6", "success_own": "at the own thresholds"}
 
 
@@ -48,14 +50,17 @@ def measured(picture: str, people: object, detectors: dict) -> dict:
 
 
 def draw(record: dict, path: Path) -> None:
-    """Draw the mean success of every picture against its width, a panel for each threshold."""
+    """Draw the mean success of every picture against its width, a panel for each threshold; plain prints are dashed."""
+    plain = [name for name in record if name.startswith(PRINT)]
+    pictures = [name for name in record if name not in plain]
     with style():
         figure, axes = new_figure(1.5 * WIDTH, 0.7 * WIDTH, columns=len(RATES))
         for axis, (rate, label) in zip(axes, RATES.items(), strict=True):
-            for number, (name, curve) in enumerate(record.items()):
-                points = [(100 * float(metres), one[rate]) for metres, one in curve["mean"].items()]
-                look = {"color": CYCLE[number % len(CYCLE)], "marker": MARKERS[number % len(MARKERS)], "markersize": 3}
-                axis.plot(*zip(*points, strict=True), linewidth=1, label=name, **look)
+            for names, line in ((pictures, "-"), (plain, "--")):
+                for name, color, marker in zip(names, cycle(CYCLE), cycle(MARKERS), strict=False):
+                    points = [(100 * float(metres), one[rate]) for metres, one in record[name]["mean"].items()]
+                    look = {"color": color, "marker": marker, "markersize": 3, "linestyle": line}
+                    axis.plot(*zip(*points, strict=True), linewidth=1, label=name, **look)
             axis.set_xscale("log")
             ticks = [100 * metres for metres in WIDTHS]
             axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
