@@ -17,13 +17,13 @@ from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.logo import select_region
 from cloak_core.core.pictures import read_picture
+from cloak_core.core.prints import print_picture
 from cloak_core.core.visibility.texture import look_up
 from cloak_core.exchange.cloth import CLOTH_FILE, cloth_metres
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
-from cloak_core.sources.bodies.logos.prints import print_picture
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import NUMBER, body_rig
