@@ -188,6 +188,11 @@ def cloth_spec(pattern: str) -> str:
     return pattern if "@tile=" in pattern or "@patch=" in pattern else f"{pattern}@tile=0.5"
 
 
+def is_picture(spec: str) -> bool:
+    """Tell whether one of COLORS names a picture, or a cloth worn otherwise than it was trained."""
+    return _PICTURE.fullmatch(spec) is not None or spec.startswith(_PRINT) or spec.endswith(FLIPPED)
+
+
 def read_clothes(spec: str) -> Clothes:
     """Read one of COLORS: a run's folder, zoo:NAME, or a picture, PICTURE@tile=METRES or PICTURE@patch=METRES.
 
