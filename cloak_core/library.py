@@ -118,7 +118,7 @@ def evaluate(
     """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation or `out`.
 
     run: a run folder, what `train` returned, or zoo:NAME. colors: judge these on the run's logo instead: a .npy of
-    colours [L, 3], a picture on the scene's UV map (on people FILE.png@tile=METRES or FILE.png@patch=METRES), another
+    colours [L, 3], a picture on the scene's UV map, PICTURE@tile=METRES (on people PICTURE@patch=METRES, too), another
     run, or zoo:NAME; then into RUN/evaluation-NAME. profile:
     of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print --profile`; then
     into RUN/evaluation-printed. over_time:

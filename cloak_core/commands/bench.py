@@ -12,6 +12,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 from cloak_core.commands.base import Command, err, load_scene, out, require_new
 from cloak_core.commands.options import DetectorOptions, keep_freed_memory
 from cloak_core.core.settings.values import Range
+from cloak_core.core.visibility.settings import RenderOptions
 from cloak_core.files.writing import write_text
 
 if TYPE_CHECKING:
@@ -94,8 +95,7 @@ class Step(Timed):
     """Images per update."""
     distance: Range = Range(2.2, 2.2)
     """Camera distance in metres; LOW:HIGH builds a fresh view for every image."""
-    samples: Literal[1, 4, 16, 64] | None = None
-    """Samples per pixel; None takes what training would."""
+    rendering: Annotated[OmitArgPrefixes[RenderOptions], arg(name="rendering")] = field(default_factory=RenderOptions)
     out: Path | None = None
     """Markdown file to write the table to."""
 
@@ -115,8 +115,8 @@ class Step(Timed):
                 "photographs" if people else "best",
                 batch=self.batch,
                 distance=self.distance,
-                samples=self.samples,
                 device=self.device,
+                **vars(self.rendering),
             ),
             people=people,
             threads=self.threads,

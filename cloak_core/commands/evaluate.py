@@ -28,8 +28,9 @@ class Evaluate(Detecting):
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote, or zoo:NAME."""
     colors: str | None = None
-    """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map, another run,
-    or zoo:NAME; written to RUN/evaluation-NAME."""
+    """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map,
+    FILE.png@tile=0.5 (cloth that repeats every so many metres), print:balls@tile=0.25 (a plain print), another run, or
+    zoo:NAME; written to RUN/evaluation-NAME."""
     profile: Path | None = None
     """Profile of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print
     --profile`, the nearest that can where they cannot; written to RUN/evaluation-printed."""
@@ -38,7 +39,7 @@ class Evaluate(Detecting):
     one of the same content is not made again)."""
     people: str | None = None
     """Judge on people in photographs instead: a COCO file with masks and landmarks; into RUN/evaluation-people. Angles,
-    distances and the like are the photographs' own; --colors takes FILE.png@tile=0.5 and FILE.png@patch=0.3 as well."""
+    distances and the like are the photographs' own; --colors takes FILE.png@patch=0.3 as well."""
     images: Path | None = None
     """Folder of these photographs (default: beside the file, or images/ beside it)."""
     over_time: bool = False

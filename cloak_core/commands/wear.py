@@ -29,9 +29,8 @@ class Wear(Detecting):
     colors: Positional[tuple[str, ...]]
     """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres; auto: the width that
     hides best), FILE.png@patch=0.3 (a patch on the chest). '*.png@tile=0.5' is every such file; a folder with
-    patterns.toml is every pattern that it lists. print:balls,
-    ellipses, dots, checks and stripes are plain prints to compare with; @flipped at the end wears a cloth or picture
-    upside down."""
+    patterns.toml is every pattern that it lists. print:balls is a plain print to compare with (cloak train --initial
+    lists them all); @flipped at the end wears a cloth or picture upside down."""
     people: str
     """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
     images: Path | None = None

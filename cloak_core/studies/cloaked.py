@@ -24,6 +24,7 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgroun
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.studies.trained_run import kept_back, read_run
+from cloak_core.studies.wearing.clothes import is_picture, read_clothes
 from cloak_core.zoo.entry import run_path
 
 CLOTH_CELL = 0.01
@@ -74,8 +75,9 @@ def open_cloaked(
 ) -> tuple[Cloaked, dict | None, str]:
     """Open a run's cloak, the config.json of the training of its colours (None where there is none), and their name.
 
-    folder, config: of the run. scene, backgrounds: as they are, or by name. colors: see `colors_of`; None: the run's
-    own, whose name is "". InputError: as for `kept_back`, `Cloaked` and `colors_of`.
+    folder, config: of the run. scene, backgrounds: as they are, or by name. colors: a picture as cloth
+    (`read_clothes`), or see `colors_of`; None: the run's own, whose name is "". InputError: as for `kept_back`,
+    `Cloaked`, `read_clothes` and `colors_of`, and a patch.
     """
     bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
     if not isinstance(backgrounds, Backgrounds):
@@ -86,6 +88,14 @@ def open_cloaked(
         trained = config
         name = ""
         cloth = cloth_of_run(folder)
+    elif is_picture(os.fspath(colors)):
+        clothes = read_clothes(os.fspath(colors))
+        if clothes.is_patch:
+            raise InputError(f"{colors}: a patch is for people in photographs; bodies wear cloth, @tile=METRES")
+        worn = cloth_colors(clothes.picture, clothes.metres, bodies, logo.face_ids)
+        trained = None
+        name = clothes.name
+        cloth = PrintedCloth.of(clothes.picture, clothes.metres)
     else:
         worn, trained, name = colors_of(colors, logo, bodies)
         other = run_path(colors)

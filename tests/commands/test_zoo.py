@@ -20,7 +20,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.cloaked import colors_of
+from cloak_core.studies.cloaked import colors_of, open_cloaked
 from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, run_path, shelved, write_entry
 from cloak_core.zoo.starting import read_start
 
@@ -170,6 +170,16 @@ def test_colours_of_a_file_and_of_a_picture_on_the_uv_map(tmp_path):
     corners = bodies.uv[bodies.triangle_uv[bodies.triangle_face == face]].mean((0, 1))
     expected = look_up(torch.from_numpy(picture), torch.from_numpy(corners.astype(np.float32))[:, None])
     assert np.abs(seen[7] - expected.numpy()[0]).max() < 0.1
+
+
+def test_a_logo_wears_a_plain_print_as_cloth_and_no_patch():
+    folder, spec = run_path("zoo:builtin-sample"), "print:checks@tile=0.25"
+    cloaked, training, name = open_cloaked(folder, read_json(folder / "config.json"), "sample:unseen[0:1]", colors=spec)
+    assert (training, name) == (None, spec)
+    assert cloaked.cloth.cloth.metres == 0.25 and set(np.unique(cloaked.cloth.colors)) == {0.0, 1.0}
+    assert cloaked.colors.shape == (len(cloaked.logo), 3) and 0.3 < cloaked.colors.mean() < 0.7
+    with pytest.raises(InputError, match=r"print:checks@patch=0\.3: a patch is for people in photographs"):
+        open_cloaked(folder, read_json(folder / "config.json"), "sample:unseen", colors="print:checks@patch=0.3")
 
 
 @pytest.mark.slow

@@ -8,9 +8,9 @@ from cloak_core.core.cloth import Cloth
 from cloak_core.core.cloth_on_logo import ClothOnLogo
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import load_logo, make_logo
+from cloak_core.core.prints import PRINTS, print_picture
 from cloak_core.core.settings import make_settings
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.sources.bodies.logos.prints import PRINTS, print_picture
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors, on_squares
 from tests.sources.bodies.solids import cube

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from cloak_core.core.cameras import Camera
+from cloak_core.core.prints import PRINTS
 from cloak_core.core.settings.values import Angles, Azimuths, Bounds, NotNegative, Positive, Range, Weights
 from cloak_core.core.technique import choices, with_techniques
 from cloak_core.core.visibility.settings import RenderOptions
@@ -199,10 +200,10 @@ class OptimizerSettings:
     """With --schedule step: epochs between drops."""
     gamut: Literal["projection", "sigmoid"] = "projection"
     """How colours stay in [0, 1]: projection after every update, or the sigmoid of free parameters."""
-    initial: Literal["grey", "random", "clothing", "animal", "balls", "ellipses", "dots", "checks", "stripes"] = "grey"
+    initial: Literal[("grey", "random", "clothing", "animal", *PRINTS)] = "grey"
     """First colours: grey; random, uniform per face and channel; clothing, the first outfit; animal, a dog's face on
     front and back, which helps against detectors of many classes; or a plain print that repeats every 25 cm, which
-    helps a cloth (--pattern tile): balls, ellipses, dots, checks, stripes."""
+    helps a cloth (--pattern tile), by its name."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""

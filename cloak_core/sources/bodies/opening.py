@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.files.specs import split_spec
+from cloak_core.sources.bodies import people
 from cloak_core.sources.bodies.selection import select, split_selection
 
 
@@ -27,26 +31,18 @@ def load_scene(spec: str | Path) -> Bodies:
 
 
 def _open_whole(spec: str) -> Bodies:
-    head, _, split = spec.partition(":")
-    if head == "anny" and not Path(spec).exists():
-        return _drawn(spec)
-    if head in ("sample-clothed", "sample-tight"):
-        from cloak_core.sources.bodies.people.clothed import clothed_bodies
-
-        return clothed_bodies(split or "all", tight=head == "sample-tight")
-    if head != "sample":
-        if Path(spec).suffix.lower() == ".json":
-            raise InputError(f"--scene {spec}: no scene of bodies; people in photographs are --people {spec}")
-        return read_scene(spec)
-    from cloak_core.sources.bodies.people.samples import sample_bodies
-
-    return sample_bodies(split or "all")
+    name, _, rest = spec.partition(":")
+    if name in opened():
+        return opened()[name](*[rest] if rest else [])
+    if Path(spec).suffix.lower() == ".json":
+        raise InputError(f"--scene {spec}: no scene of bodies; people in photographs are --people {spec}")
+    return read_scene(spec)
 
 
-def _drawn(spec: str) -> Bodies:
-    from cloak_core.sources.bodies.people.anny import anny_bodies
-
-    count, seed, poses = [*split_spec(spec)[1:], "", "", ""][:3]
-    if not count.isdigit() or not (seed or "0").isdigit():
-        raise InputError(f"scene '{spec}': bodies are drawn by anny:COUNT[:SEED[:POSES]], such as anny:64:0:walk")
-    return anny_bodies(int(count), int(seed or 0), poses or "natural")
+@cache
+def opened() -> dict[str, Callable[..., Bodies]]:
+    """Find what opens bodies by name: functions of what follows the colon, `OPENED` of each file in `people`."""
+    found = {}
+    for module in pkgutil.iter_modules(people.__path__):
+        found |= getattr(importlib.import_module(f"{people.__name__}.{module.name}"), "OPENED", {})
+    return found

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32
 
+from cloak_core.core.prints import PRINTS
 from cloak_core.core.worn import Worn
-from cloak_core.sources.bodies.logos.prints import PRINTS
 from cloak_core.studies.hardening.decoys import TEXTURE, random_texture
 
 WIDTHS = (20.0, 55.0)

@@ -11,9 +11,9 @@ from cloak_core.core.cloth import face_places
 from cloak_core.core.cloth_on_logo import ClothOnLogo
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo
+from cloak_core.core.prints import PRINT_METRES, PRINTS
 from cloak_core.core.settings.components import OptimizerSettings
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.sources.bodies.logos.prints import PRINT_METRES, PRINTS
 
 FUR, COAT, DARK, MOUTH = (0.9, 0.85, 0.75), (0.75, 0.45, 0.15), (0.02, 0.02, 0.02), (0.25, 0.12, 0.08)
 # Places in the face, in its heights: across from its middle, down from its top.

@@ -17,13 +17,13 @@ from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.logo import select_region
 from cloak_core.core.pictures import read_picture
+from cloak_core.core.prints import print_picture
 from cloak_core.core.visibility.texture import look_up
 from cloak_core.exchange.cloth import CLOTH_FILE, cloth_metres
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
-from cloak_core.sources.bodies.logos.prints import print_picture
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import NUMBER, body_rig
@@ -186,6 +186,11 @@ def controls() -> list[Clothes]:
 def cloth_spec(pattern: str) -> str:
     """Name a pattern's width where it is only FILE.png: 0.25 m, where most hide most (docs/reports/photographs.md)."""
     return pattern if "@tile=" in pattern or "@patch=" in pattern else f"{pattern}@tile=0.25"
+
+
+def is_picture(spec: str) -> bool:
+    """Tell whether one of COLORS names a picture, or a cloth worn otherwise than it was trained."""
+    return _PICTURE.fullmatch(spec) is not None or spec.startswith(_PRINT) or spec.endswith(FLIPPED)
 
 
 def read_clothes(spec: str) -> Clothes:

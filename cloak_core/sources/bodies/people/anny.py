@@ -16,8 +16,10 @@ from jaxtyping import Float
 
 from cloak_core.core.geometry import connected_parts
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_BYTES, read_npy, read_npz
+from cloak_core.files.specs import split_spec
 from cloak_core.sources.bodies.people.motions import MOTIONS
 from cloak_core.sources.bodies.people.samples import load
 from cloak_core.sources.bodies.people.skeleton import Skeleton, pose_vertices
@@ -77,6 +79,20 @@ def anny_bodies(count: int, seed: int = 0, poses: str | Path = "natural", name: 
         vertices[index] = stand(posed)
         names.append(f"{motion}-{index:04}")
     return replace(samples, vertices=vertices, names=tuple(names), name=name, recorded_topology=samples.topology)
+
+
+def drawn_bodies(asked: str = "") -> Bodies:
+    """Draw bodies as COUNT[:SEED[:POSES]] asks. InputError: it asks for something else."""
+    if not asked and Path("anny").exists():
+        return read_scene("anny")  # a scene that is called so
+    count, seed, poses = [*split_spec(asked), "", "", ""][:3]
+    if not count.isdigit() or not (seed or "0").isdigit():
+        raise InputError(f"scene 'anny:{asked}': bodies are drawn by anny:COUNT[:SEED[:POSES]], such as anny:64:0:walk")
+    return anny_bodies(int(count), int(seed or 0), poses or "natural")
+
+
+OPENED = {"anny": drawn_bodies}
+"""See `sources/bodies/opening.py`."""
 
 
 def read_anny_poses(path: Path) -> Float[np.ndarray, "poses bones 4 4"]:

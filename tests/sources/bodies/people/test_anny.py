@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.people import anny as module
@@ -13,6 +14,7 @@ from cloak_core.sources.bodies.people.anny import POSES, SHAPES, anny_bodies, re
 from cloak_core.sources.bodies.people.motions import MOTIONS
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.people.skeleton import Skeleton
+from tests.core.fakes import box_bodies
 
 
 class FakeSource:
@@ -57,6 +59,14 @@ def test_a_scene_can_be_drawn_on_the_spot(source: FakeSource) -> None:
     assert load_scene("anny:4:7:walk[1,3]").names == ("walking-0001", "walking-0003")
     with pytest.raises(InputError, match="anny:many"):
         load_scene("anny:many")
+
+
+def test_a_scene_may_be_called_as_the_drawn_bodies_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="drawn by anny:COUNT"):
+        load_scene("anny")
+    write_scene("anny", box_bodies())
+    assert load_scene("anny").names == box_bodies().names
 
 
 def test_poses_from_a_file_in_turn(source: FakeSource, tmp_path: Path) -> None:

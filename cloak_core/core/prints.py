@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from cloak_core.files.errors import InputError
 
-PrintName = Literal["balls", "ellipses", "dots", "checks", "stripes"]
 PRINT_METRES = 0.25
 """Width and height of the piece that repeats."""
 PIXELS = 250
@@ -67,7 +66,7 @@ PRINTS: dict[str, Print] = {
 def print_picture(name: str) -> UInt8[np.ndarray, "side side 3"]:
     """Draw the piece of a print that repeats, row 0 at the top. InputError: no such print."""
     if name not in PRINTS:
-        raise InputError(f"print:{name}: no such print (known: {', '.join(get_args(PrintName))})")
+        raise InputError(f"print:{name}: no such print (known: {', '.join(PRINTS)})")
     row, column = np.divmod(np.arange(PIXELS**2), PIXELS)
     places = (np.stack([column, row], axis=1) + 0.5) * PRINT_METRES / PIXELS
     return np.round(255 * PRINTS[name].at(places)).astype(np.uint8).reshape(PIXELS, PIXELS, 3)

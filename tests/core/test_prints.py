@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from cloak_core.core.prints import PRINT_METRES, PRINTS, print_picture
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.logos.prints import PRINT_METRES, PRINTS, print_picture
 
 
 @pytest.mark.parametrize("name", PRINTS)
