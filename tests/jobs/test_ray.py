@@ -100,7 +100,7 @@ def test_a_node_dies_and_the_colours_are_those_of_one_process(tmp_path, cluster)
     assert there.run(said.append, prepare=prepare_process, executor=RayCluster(cluster.address)) == ""
     killer.join(timeout=120)
     record = there.write_results()
-    assert record["done"] == record["runs"] == len(said) == 4
+    assert record["done"] == record["runs"] == 4 and said[0] == "4 of 4 runs to train" and len(said) == 1 + 4
     assert len(cluster.list_all_nodes()) == 2
     for folders in zip(here.folders, there.folders, strict=True):
         assert np.array_equal(*(read_colors(folder / "colors.npy") for folder in folders))
