@@ -140,7 +140,8 @@ class Demo(Computing):
         further = HARDER | {"seed": self.seed}
         further |= {} if self.compute.threads is None else {"threads": self.compute.threads}
         write_text(config, "".join(f"{key} = {json.dumps(value)}\n" for key, value in further.items()))
-        words = f"--sample --frames 1:{poses}:1 --preset best --angles {ANGLES} --steps {self.steps} --resume".split()
+        words = f"--sample --frames 1:{poses}:1 --preset best --angles {ANGLES} --steps {self.steps}".split()
+        words += ["--resume"] * self.out.is_dir()
         words += ["--logo", str(logo.absolute()), "--device", self.compute.device, "--config", str(config)]
         train_in_blender(blender, words, self.out)
 

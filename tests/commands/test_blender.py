@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.commands.demo import follow, train_in_blender
+from cloak_core.commands.demo import REGION, Demo, follow, train_in_blender
+from cloak_core.core.events import read_events
+from cloak_core.core.logo import select_region
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.bodies.blender.outside import ROOT, find_bpy
+from cloak_core.sources.bodies.people.samples import sample_bodies
 
 RED = ROOT / "tests" / "blender" / "inside" / "red_detector.py"
 
@@ -46,6 +50,17 @@ def test_a_scene_goes_through_blender_and_the_report_shows_it(blender: str, tmp_
     assert "In Blender" in make_report(run).read_text("utf-8")
     with pytest.raises(InputError, match="exists already"):
         train_in_blender(blender, words, run)
+
+
+@pytest.mark.long
+def test_the_demo_begins_in_blender_and_goes_on_there(blender: str, tmp_path: Path) -> None:
+    bodies = sample_bodies("train")
+    write_face_list(tmp_path / "demo-logo.npy", select_region(bodies, REGION), bodies.topology)
+    demo = Demo(out=tmp_path / "demo", steps=2)
+    for _ in range(2):
+        demo._train(tmp_path / "demo-logo.npy", bodies.pose_count)
+        steps = [event["step"] for event in read_events(demo.out / "events.jsonl") if event["type"] == "step"]
+        assert steps == [1, 2]
 
 
 @pytest.mark.slow
