@@ -57,14 +57,18 @@ def train_in_blender(python: str, arguments: Sequence[str], run: Path) -> None:
 
 
 def follow(events: Path, running: Callable[[], bool], tell: Callable[[dict], None]) -> None:
-    """Report each new step of a growing event log once, while `running()` is true; earlier steps are skipped."""
-    told, alive = _last_step(events), True
+    """Report each beginning and new step of a growing event log once, while `running()`; earlier steps are skipped."""
+    told, begun, alive = _last_step(events), 0, True
     while alive:
         alive = running()
+        beginnings = 0
         for event in read_events(events) if events.exists() else ():
             step = event.get("step")
             if event.get("type") in ("start", "resume"):
-                tell(event | {"type": "start"})
+                beginnings += 1
+                if beginnings > begun:
+                    tell(event | {"type": "start"})
+                    begun = beginnings
             elif event.get("type") == "step" and isinstance(step, int) and step > told:
                 tell(event)
                 told = step

@@ -83,4 +83,5 @@ def test_events_are_told_once_and_old_ones_not_again(tmp_path: Path) -> None:
 
     follow(log, running, told.append)
     assert [event["step"] for event in told if event["type"] == "step"] == [2]
+    assert [event["step"] for event in told if event["type"] == "start"] == [0, 1]
     assert {event["type"] for event in told} == {"start", "step"}
