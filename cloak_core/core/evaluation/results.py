@@ -2,7 +2,8 @@
 
 The table is a pandas DataFrame: it is what the field plots and tests with, and its columns are the numpy arrays that
 the intervals are computed from, so no figure depends on it. Success rates, intervals and average precision are
-group-bys over this table; `statistics` is the only module that computes them.
+group-bys over this table: `statistics`, `intervals` and `precision` compute them, and `studies/statistics_*.py` what
+cards, films and photographs have of their own.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Count: rates with their intervals and threshold curves, from rows of the results table.
 
 Every figure that an evaluation, card, matrix, film or experiment shows is computed here, from rows of
-`Results.images` (or of a table with the same columns) and, for average precision, from `Results.boxes`; what cards,
-films, photographs and precision have of their own stands in `statistics_*.py`.
+`Results.images` (or of a table with the same columns) and, for average precision (`precision`), from `Results.boxes`;
+what cards, films and photographs have of their own stands in `studies/statistics_*.py`.
 """
 
 from __future__ import annotations

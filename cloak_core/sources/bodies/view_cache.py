@@ -1,7 +1,7 @@
 """Views of a scene, built once and kept.
 
 A view is one pose seen by one camera: for each covered pixel, the weights of the faces' colours. Baking a view
-for a logo folds all else into a constant base image; rendering a baked view is a sparse product (compositing.py).
+for a logo folds all else into a constant base image; rendering a baked view is a sparse product (`core/paint.py`).
 """
 
 from __future__ import annotations
