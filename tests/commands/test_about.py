@@ -22,6 +22,7 @@ def test_version_says_what_it_is_made_of(capsys) -> None:
     assert record["version"] == __version__ and {"python", "system", "torch", "numba"} <= set(record)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "same"), [("help", "--help"), ("help zoo", "zoo --help"), ("help train", "train --help")]
 )
@@ -29,6 +30,7 @@ def test_help_is_a_command_too(line, same, capsys) -> None:
     assert said(line, capsys) == said(same, capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "words"),
     [

@@ -85,6 +85,7 @@ def test_the_bare_form_of_a_group_lists_its_commands(words, capsys):
     assert end.value.code == 2 and "usage: cloak COMMAND" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_part_of_what_is_needed(capsys):
     for line, needs in (
         ("train --scene sample", "needs --logo, --out"),

@@ -66,6 +66,7 @@ def arrived(machine: list[str]) -> list[str]:
     return sorted(path.name for path in folder.rglob("*") if path.is_file() and path.name != ".complete")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [False, True], ids=["by the command", "by a shared folder"])
 def test_a_training_over_there_leaves_its_run_here_and_sends_only_what_was_named(shared, logo, tmp_path):
     machine = other_machine(tmp_path, shared)
@@ -86,6 +87,7 @@ def test_a_training_over_there_leaves_its_run_here_and_sends_only_what_was_named
     assert sorted(path.name for path in over_there.glob("*/logo.npy*")) == ["logo.npy"]
 
 
+@pytest.mark.slow
 def test_a_training_is_cancelled_by_its_file(machine, logo, tmp_path):
     run = tmp_path / "run"
     words = ("train", "--logo", logo, "--detector", "builtin", "--out", run, "--steps", 400, "--json")
@@ -99,6 +101,7 @@ def test_a_training_is_cancelled_by_its_file(machine, logo, tmp_path):
     assert "stopped at step" in json.loads(out)["stopped"] and not (run / "cancel").exists()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_said_in_one_line(machine, logo, tmp_path):
     for words, environment, code, message in (
         (
@@ -118,6 +121,7 @@ def test_what_cannot_be_is_said_in_one_line(machine, logo, tmp_path):
     assert process.returncode == 255 and "cannot be reached" in err
 
 
+@pytest.mark.slow
 def test_a_launcher_stands_for_the_other_machine(machine, tmp_path):
     launcher = tmp_path / "cloak-box"
     done = subprocess.run(

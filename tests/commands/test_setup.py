@@ -40,6 +40,7 @@ def offline(monkeypatch) -> None:
     monkeypatch.setattr(setup, "GIGABYTES", 0.0)
 
 
+@pytest.mark.slow
 def test_an_environment_with_a_program_is_made(offline, tmp_path):
     place = tmp_path / "trainer"
     result = setup.Setup(into=place, source=str(make_wheel(tmp_path))).run()
@@ -48,6 +49,7 @@ def test_an_environment_with_a_program_is_made(offline, tmp_path):
         setup.Setup(into=place, source=str(make_wheel(tmp_path))).run()
 
 
+@pytest.mark.slow
 def test_what_fails_leaves_nothing_and_is_named(offline, tmp_path, monkeypatch):
     place, wheel = tmp_path / "trainer", make_wheel(tmp_path, "no-such-thing")
     with pytest.raises(InputError, match="the package index has no suitable no-such-thing"):
@@ -92,6 +94,7 @@ def test_what_pip_says_is_put_in_words(said, words):
     assert words in setup.diagnosis(f"Collecting x\n{said}\n", "exit code 1")
 
 
+@pytest.mark.slow
 def test_setup_says_what_this_trainer_is():
     done = subprocess.run([sys.executable, "-m", "cloak_core", "setup", "--json"], capture_output=True, check=True)
     about = json.loads(done.stdout)

@@ -304,6 +304,7 @@ def test_a_print_is_told_in_sentences() -> None:
     assert "colours" not in "\n".join(told(report | {"unprintable_colors": 0}))
 
 
+@pytest.mark.slow
 def test_a_cloth_is_painted_as_fine_as_it_is_printed(body, logo, layout):
     """Every texel has the square that lies under the same point of the body, and no face's mean."""
     squares = np.random.default_rng(1).random((20 * 20, 3)).astype(np.float32)
@@ -323,6 +324,7 @@ def test_a_cloth_is_painted_as_fine_as_it_is_printed(body, logo, layout):
     assert len(told_of & {tuple(color) for color in np.round(255 * squares).astype(int).tolist()}) > 390
 
 
+@pytest.mark.slow
 def test_sheets_of_a_cloth_count_its_colours(tmp_path, body, logo, colors):
     cloth = PrintedCloth(Cloth(0.1, 2, 2), np.float32([[0, 1, 0], [1, 1, 1], [0, 1, 0], [1, 1, 1]]))
     report = print_logo(body, logo, colors, tmp_path / "out", dpi=50, project=True, cloth=cloth)

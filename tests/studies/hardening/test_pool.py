@@ -92,6 +92,7 @@ def test_cloaks_die_one_after_the_other_and_given_ones_are_among_them(student: S
     assert 0 < sum(shares) < len(shares)
 
 
+@pytest.mark.slow
 def test_a_cloaks_learning_rate_falls_over_its_life(student: Student, monkeypatch: pytest.MonkeyPatch) -> None:
     rates = []
     monkeypatch.setattr(ColorOptimizer, "update", lambda _, rate: rates.append(rate))
