@@ -29,7 +29,7 @@ class Evaluate(Detecting):
     """Run folder that `cloak train` wrote, or zoo:NAME."""
     colors: str | None = None
     """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map,
-    FILE.png@tile=0.5 (cloth that repeats every so many metres), print:balls@tile=0.25 (a plain print), another run, or
+    FILE.png@tile=0.5 (cloth that repeats, its width in metres), print:balls@tile=0.25 (a plain print), another run, or
     zoo:NAME; written to RUN/evaluation-NAME."""
     profile: Path | None = None
     """Profile of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print

@@ -27,7 +27,7 @@ class Wear(Detecting):
     example = "zoo:builtin-sample --people people.json --detector builtin --out worn"
 
     colors: Positional[tuple[str, ...]]
-    """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres; auto: the width that
+    """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats, its width in metres; auto: the width that
     hides best), FILE.png@patch=0.3 (a patch on the chest). '*.png@tile=0.5' is every such file; a folder with
     patterns.toml is every pattern that it lists. print:balls is a plain print to compare with (cloak train --initial
     lists them all); @flipped at the end wears a cloth or picture upside down."""

@@ -171,7 +171,7 @@ def test_a_signal_stays_whose_it_was(here: Path) -> None:
 
 
 def test_seeds_of_others_go_on(here: Path) -> None:
-    """Numbers drawn after a detector that seeds differ from those that it would make everybody draw."""
+    """A detector that sets a seed does not decide which numbers are drawn after it."""
     seeded = []
     for where in ("IMPORT", "CALL"):
         torch.manual_seed(1), np.random.seed(1), random.seed(1)

@@ -18,7 +18,7 @@ _FEW = 48
 
 
 class Dressed(NamedTuple):
-    """An image of N pixels, of which the first M show what is worn."""
+    """An image of N pixels; the first M show what is worn."""
 
     pixels: Int64[np.ndarray, " N"]
     """Flat index y * size + x; ascending among the first M, and among the others."""
