@@ -100,4 +100,4 @@ def worn_rows(card: dict) -> dict[str, dict]:
 def _worn(name: str) -> str:
     if name == AGAINST:
         return "a cloak made against it"
-    return f"the pattern {name.partition('@')[0]}" if "@" in name else f"{name}, made against other detectors"
+    return f"the pattern {name.partition('@')[0]}" if "@" in name else f"{name}, made against other detectors,"

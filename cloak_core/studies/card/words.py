@@ -44,7 +44,7 @@ def headline(card: dict) -> str:
     if worn is not None:
         own = percent(card["photographs"]["rows"][CLOTHING]["success_own"])
         said.append(
-            f"In photographs, {_worded(card, worn)} of people who wear {worn.worn.rstrip(',')} are hidden from {name}"
+            f"In photographs, {_worded(card, worn)} of people who wear {worn.worn} are hidden from {name}"
             f"{instead(worn.row, own=True)}; in their own clothing it misses {own} of them."
         )
     if rendered is not None and (worn is None or rendered.row["success_own"] > worn.row["success_own"]):
