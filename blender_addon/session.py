@@ -18,6 +18,7 @@ class Task(Protocol):
     """A job of `trainer/jobs.py`."""
 
     label: str
+    lane: str  # jobs of one lane run one after the other
     running: bool
     active: bool  # runs or waits its turn
 
@@ -27,7 +28,7 @@ class Session:
     """State of one Blender process; nothing of it is saved."""
 
     jobs: list[Task] = field(default_factory=list)
-    """In the order in which they were asked for: at most one runs, some wait, and of each kind the last that ended."""
+    """In the order in which they were asked for: in each lane at most one runs; of each kind the last that ended."""
     eye: Any = None  # the detector's eye that is open
     eye_closed_because: str = ""  # error that closed the last eye; "" if there was none
     runs: dict[str, Any] = field(default_factory=dict)
@@ -46,8 +47,13 @@ class Session:
 
     @property
     def job(self) -> Task | None:
-        """The job that runs, else the one that was asked for last."""
-        return next((job for job in self.jobs if job.running), self.jobs[-1] if self.jobs else None)
+        """The job that runs, that of the main lane before others; where none does, the one asked for last."""
+        running = [job for job in self.jobs if job.running]
+        return min(running, key=lambda job: job.lane, default=self.jobs[-1] if self.jobs else None)
+
+    def first_in(self, lane: str) -> Task | None:
+        """The job of a lane that runs, or will next."""
+        return next((job for job in self.jobs if job.active and job.lane == lane), None)
 
     def job_of(self, *labels: str) -> Task | None:
         """The last job of these kinds."""

@@ -11,8 +11,9 @@ import numpy as np
 from mathutils import Matrix
 
 from ..blender.evaluated import Surface
-from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, vertex_points
+from ..blender.mesh_arrays import box_of, mesh_triangles, vertex_points
 from ..blender.occlusion import seen
+from ..blender.pictures import image_pixels
 from ..files.errors import InputError
 
 RESOLUTION = 512

@@ -9,11 +9,11 @@ import numpy as np
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..blender import colors
 from ..blender.blend_paths import blend_folder, portable
-from ..blender.cloth import load_picture
+from ..blender.cloth import pixels_at
 from ..blender.faces import active_logo
-from ..blender.mesh_arrays import image_pixels, mean_of_corners
+from ..blender.mesh_arrays import mean_of_corners
+from ..blender.pictures import read_picture, save_picture
 from ..body.objects import active_body, logo_reason
 from ..exchange.bodies import Bodies
 from ..exchange.cloth import CLOTH_FILE, corner_uv
@@ -48,13 +48,8 @@ class CLOAK_OT_cloth_picture(CloakOperator, ImportHelper, label="Picture as Clot
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
         run = runs.new_run(output_folder(context.scene.cloak), obj.name, path.stem)
-        image = load_picture(path)
-        try:
-            pixels = image_pixels(image)[..., :3]
-            pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
-            pixels = colors.linear_to_srgb(np.clip(pixels, 0, 1)) if image.is_float else pixels
-        finally:
-            bpy.data.images.remove(image)
+        pixels = read_picture(path)[..., :3]
+        pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
         done = export(context, obj, logo, PoseChoice(), runs.input_folder(run))
         write_run(run, done, pixels, self.width, obj.cloak.made_from)
         obj.cloak.run = portable(str(run), blend_folder())
@@ -69,7 +64,7 @@ def write_run(run: Path, done: Export, pixels: np.ndarray, metres: float, made_f
     config["settings"] = {"pattern": "tile", "tile_cm": round(100 * metres, 4)}
     config["inputs"] = {"made_from": source} if topology == bodies.topology else {}
     with new_folder(run) as folder:
-        _save(pixels, folder / CLOTH_FILE)
+        save_picture(folder / CLOTH_FILE, pixels)
         write_json(folder / "config.json", config)
         for name in ("logo.npy", "logo.json"):
             shutil.copyfile(done.face_list.with_name(name), folder / name)
@@ -81,24 +76,11 @@ def _means(bodies: Bodies, metres: float, pixels: np.ndarray) -> np.ndarray:
     uv = corner_uv(bodies, metres, metres * pixels.shape[0] / pixels.shape[1])
     counts = np.full(bodies.triangle_count, 3) if bodies.loop_total is None else bodies.loop_total
     middle = np.repeat(mean_of_corners(counts, uv), counts, axis=0)
-    height, width = pixels.shape[:2]
     total = np.zeros((len(counts), 3), np.float32)
     for part in INWARDS:
-        column, row = ((middle + part * (uv - middle)) % 1 * [width, height]).astype(int).T
-        total += mean_of_corners(counts, pixels[np.minimum(row, height - 1), np.minimum(column, width - 1)])
+        total += mean_of_corners(counts, pixels_at(pixels, middle + part * (uv - middle)))
     if bodies.loop_total is None:  # modifiers make other polygons: of the triangles that count as a face
         order = np.argsort(bodies.triangle_face, kind="stable")
         triangles = np.bincount(bodies.triangle_face, minlength=bodies.face_count)
         total = mean_of_corners(np.maximum(triangles, 1), total[order])
     return np.clip(total / len(INWARDS), 0, 1)
-
-
-def _save(pixels: np.ndarray, path: Path) -> None:
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new("cloak.cloth", width, height)
-    try:
-        image.pixels.foreach_set(np.concatenate([pixels, np.ones((height, width, 1), np.float32)], -1).ravel())
-        image.filepath_raw, image.file_format = str(path), "PNG"
-        image.save()
-    finally:
-        bpy.data.images.remove(image)

@@ -240,8 +240,11 @@ def check(detector: CloakDetector) -> str:
     spec, folder = detector.bare, user_folder("detectors")
     detector.checked, detector.answer, detector.works = spec, "", False
     # One render is enough to know whether, and from which score on, it works.
-    command = cloak_command(trainer(), "detectors", "verify", spec, "--renders", 1)
-    return waits(launch(Job(CHECK, [command], folder, "check", lambda job: _told(job, spec))))
+    events = folder / "check.jsonl"
+    command = cloak_command(trainer(), "detectors", "verify", spec, "--renders", 1, "--events", events)
+    job = Job(CHECK, [command], folder, "check", lambda job: _told(job, spec), events)
+    job.lane = CHECK  # nothing that trains or judges waits for it
+    return waits(launch(job))
 
 
 def _told(job: Job, spec: str) -> str | None:
