@@ -11,6 +11,8 @@ from .marks import CLOTH, PREFIX, layer_name, make_uv_map, remove_layer
 from .mesh_arrays import read
 from .pictures import image_pixels, load_image
 
+METRES = "cloak.metres"  # of a material that shows a ready cloth: after how many metres it repeats
+
 
 @dataclass(frozen=True)
 class Cloth:
@@ -22,9 +24,14 @@ class Cloth:
 
     def lay(self, obj: bpy.types.Object) -> bpy.types.Image:
         """Write the UV map; returns the image that is to be shown on it."""
-        make_uv_map(obj, CLOTH).uv.foreach_set("vector", np.ascontiguousarray(self.uv, np.float32).ravel())
+        lay_uv(obj, CLOTH, self.uv)
         self.image.name = PREFIX + CLOTH
         return self.image
+
+
+def lay_uv(obj: bpy.types.Object, role: str, uv: np.ndarray) -> None:
+    """Write our UV map in a role, [C, 2], made where there is none."""
+    make_uv_map(obj, role).uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
 
 
 def load_cloth(path: Path) -> bpy.types.Image:

@@ -22,12 +22,13 @@ ORIGINAL_FACE = "original_face"  # the face that each one came from when the bod
 CARRIED = "carried_face"  # for the time of an export: each own face's number, counted from 1
 UV_MAP = "uv"  # a square of an image for each face
 CLOTH = "cloth"  # the corners' places on a cloth that repeats
+READY_CLOTH = "ready_cloth"  # the same, on the cloths of the asset library
 SHOWN_BEFORE = "shown_before"  # no layer of ours: the colour attribute that the mesh showed before ours
 KINDS = {
     **dict.fromkeys((COLORS, OUTFIT, HEATMAP), ("CORNER", "FLOAT_COLOR")),
     **dict.fromkeys((OWN_MATERIAL, ORIGINAL_FACE, CARRIED), ("FACE", "INT")),
     HEAT: ("FACE", "FLOAT"),
-    **dict.fromkeys((UV_MAP, CLOTH), ("CORNER", "FLOAT2")),
+    **dict.fromkeys((UV_MAP, CLOTH, READY_CLOTH), ("CORNER", "FLOAT2")),
 }
 """Domain and type of a layer by its role; "outfit.2" is a second outfit."""
 FORMER = {

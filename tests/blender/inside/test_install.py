@@ -44,6 +44,7 @@ def test_what_blend_files_store_keeps_its_name():
     )
     assert list(marks.KINDS) == [
         "colors", "outfit", "heatmap", "own_material", "original_face", "carried_face", "heat", "uv", "cloth",
+        "ready_cloth",
     ]  # fmt: skip
 
 
@@ -60,6 +61,7 @@ def leftovers() -> dict:
         "timer": bpy.app.timers.is_registered(jobs.tick),
         "threads": [thread.name for thread in threading.enumerate()],
         "jobs": list(session.jobs),
+        "asset libraries": [library.name for library in bpy.context.preferences.filepaths.asset_libraries],
     }
 
 
@@ -71,9 +73,10 @@ def test_ten_cycles_of_register_and_unregister_leave_nothing():
         bpy.ops.preferences.addon_enable(module=MODULE)
 
     enabled = leftovers()
-    assert enabled["types"] and enabled["object"] == ["cloak"]
+    assert enabled["types"] and enabled["object"] == ["cloak"] and enabled["asset libraries"].count("Cloak") == 1
     disable()
     empty = leftovers()
+    assert "Cloak" not in empty["asset libraries"]
     assert not empty["types"] and not empty["operators"] and not empty["object"] and not empty["scene"]
     for _ in range(10):
         enable()
