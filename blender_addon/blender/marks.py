@@ -63,10 +63,10 @@ def our_names(mesh: bpy.types.Mesh) -> set[str]:
     return {mesh[key] for key in mesh.keys() if key.startswith(PREFIX)}  # noqa: SIM118
 
 
-def free_name(obj: bpy.types.Object, role: str) -> str:
-    """The reserved name of a role, numbered where it is taken; attributes and vertex groups share their names."""
+def free_name(obj: bpy.types.Object, name: str) -> str:
+    """The name, numbered where it is taken; attributes and vertex groups share their names."""
     taken = {*obj.data.attributes.keys(), *obj.vertex_groups.keys()}
-    names = itertools.chain([PREFIX + role], (f"{PREFIX}{role}.{number:03d}" for number in itertools.count(1)))
+    names = itertools.chain([name], (f"{name}.{number:03d}" for number in itertools.count(1)))
     return next(name for name in names if name not in taken)
 
 
@@ -75,7 +75,7 @@ def make_layer(obj: bpy.types.Object, role: str) -> bpy.types.Attribute:
     mesh = obj.data
     if not layer_name(mesh, role):
         domain, kind = KINDS[role.partition(".")[0]]
-        mark(mesh, role, mesh.attributes.new(free_name(obj, role), kind, domain).name)
+        mark(mesh, role, mesh.attributes.new(free_name(obj, PREFIX + role), kind, domain).name)
     return layer_of(mesh, role)
 
 
@@ -84,7 +84,7 @@ def make_uv_map(obj: bpy.types.Object, role: str) -> bpy.types.MeshUVLoopLayer:
     mesh = obj.data
     if not layer_name(mesh, role):
         shown = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
-        layer = mesh.uv_layers.new(name=free_name(obj, role), do_init=False)
+        layer = mesh.uv_layers.new(name=free_name(obj, PREFIX + role), do_init=False)
         if layer is None:
             raise InputError("The mesh has as many UV maps as Blender allows: delete one")
         mark(mesh, role, layer.name)

@@ -166,7 +166,7 @@ def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
     try:
         record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
         images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
-        told = record.get("detectors") or {"": {"scores": record["scores"]}}  # of one detector, until version 0.1
+        told = record["detectors"]
         scores = {spec: tuple(map(float, one["scores"])) for spec, one in told.items()}
         bounds = {spec: float(one.get("threshold", THRESHOLD)) for spec, one in told.items()}
         found = [Verdict(scores[spec], images, spec, bounds[spec]) for spec in told]

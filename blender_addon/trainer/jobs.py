@@ -260,12 +260,6 @@ def last_words(log: Path) -> str:
 # --- the jobs of this Blender: one of each lane runs, the others wait their turn --------------------------------------
 
 
-def busy() -> str:
-    """Why a job that cannot be queued may not start now; "" if it may."""
-    job = session.job
-    return f"{job.label} is running: wait for it, or cancel it" if job is not None and job.active else ""
-
-
 def launch(job: Job) -> Job:
     """Start the job or queue it; the timer polls it. Raises `InputError`."""
     if session.first_in(job.lane) is None:

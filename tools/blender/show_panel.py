@@ -40,7 +40,7 @@ def steps():
     obj = bpy.context.view_layer.objects.active
     if STATE != "body":
         settings.stamp_text = "G"
-        bpy.ops.cloak.logo_stamp(target="NEW")
+        bpy.ops.cloak.logo_stamp()
     if STATE in ("poses", "train", "result"):
         obj.cloak.logo = "chest"
     if STATE == "result" and Path(FOLDER, "colors.npy").exists():  # a run of sample:train made beforehand

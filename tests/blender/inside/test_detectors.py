@@ -191,15 +191,3 @@ def test_the_eye_looks_with_the_list_and_follows_it(dressed, files):
         assert next(iter(session.eye.seen.glances)) == f"onnx:{files['.onnx']}@conf=0.5"
     finally:
         eye.close_eye()
-
-
-def test_a_file_of_version_0_1_keeps_its_detector(files):
-    settings = bpy.context.scene.cloak
-    settings.detector, settings.darknet_cfg, settings.darknet_weights = "DARKNET", files[".cfg"], files[".weights"]
-    detectors.take_over()
-    detectors.take_over()
-    assert detectors.judges(settings) == (f"darknet:{files['.cfg']}:{files['.weights']}",)
-    settings.detectors.clear()
-    settings.detector = "TORCHVISION"
-    detectors.take_over()
-    assert detectors.judges(settings) == ("torchvision:fasterrcnn_mobilenet_v3_large_fpn",)
