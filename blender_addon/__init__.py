@@ -14,7 +14,7 @@ import bpy
 
 from . import headless, properties, translations
 from .logo import overlay, paint
-from .result import eye, ring
+from .result import cloths, eye, ring
 from .session import session
 from .trainer import jobs, preferences
 from .training import run_list
@@ -23,12 +23,12 @@ from .ui import drawing
 WITH_CLASSES = (
     *("trainer.operators", "body.operators", "logo.operators", "logo.pick", "logo.paint", "logo.stamp_operators"),
     *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.try_it"),
-    "result.cloth_picture",
+    "result.cloths",
     *("body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel", "result.wear"),
 )
 """Modules whose classes are registered, in the order of the panels."""
 ROOMS = (properties, run_list, drawing)  # modules that register something before the classes
-WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, translations)
+WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, cloths, translations)
 """Objects that register something after the classes."""
 _commands: list[object] = []  # of the command line: `blender --command cloak`
 CLASSES = (

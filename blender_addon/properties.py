@@ -5,7 +5,7 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.props import CollectionProperty, EnumProperty, PointerProperty
+from bpy.props import CollectionProperty, PointerProperty
 
 from .blender import blend_paths, marks
 from .blender.blend_paths import absolute, blend_folder
@@ -17,7 +17,7 @@ from .result.evaluations import CloakJudging
 from .session import session
 from .trainer.command_lines import options
 from .trainer.preferences import runs_folder
-from .training.detectors import CloakDetector, existing, take_over, trained_against
+from .training.detectors import CloakDetector, existing, trained_against
 from .ui import props
 from .ui.window import Hooks
 
@@ -103,15 +103,7 @@ class CloakSettings(bpy.types.PropertyGroup):
     stamp_image: PointerProperty(
         name="Image", description="Image whose dark, opaque pixels are stamped", type=bpy.types.Image
     )
-    stamp_from: props.choice(
-        "From",
-        "Where the stamp is projected from",
-        ("FRONT", "Front", "Straight onto the body's front, placed by Size, Height and Offset"),
-        ("VIEW", "View", "As you look at the body, in the middle of the viewport"),
-    )
-    stamp_size: props.share(
-        "Size", "Height of the stamp as a share of the body's height (or of the viewport's)", 0.2, 0.01
-    )
+    stamp_size: props.share("Size", "Height of the stamp as a share of the body's height", 0.2, 0.01)
     stamp_center: props.share("Height", "Middle of the stamp above the ground, as a share of the body's height", 0.72)
     stamp_offset: props.share(
         "Offset", "Middle of the stamp to the right of the body's middle, as a share of the body's height", 0, -0.5, 0.5
@@ -140,16 +132,6 @@ class CloakSettings(bpy.types.PropertyGroup):
 
     detectors: CollectionProperty(name="Detectors", description="The person detectors to hide from", type=CloakDetector)
     detector_index: props.whole("Detector", "The detector that is chosen in the list")
-    # How files of version 0.1 say it; `take_over` puts it into the list.
-    detector: EnumProperty(
-        items=[(name, name, "") for name in ("BUILTIN", "DARKNET", "TORCHVISION", "PYTHON")], options={"HIDDEN"}
-    )
-    darknet_cfg: props.text("", "", options={"HIDDEN"})
-    darknet_weights: props.text("", "", options={"HIDDEN"})
-    torchvision_name: props.text("", "", "fasterrcnn_mobilenet_v3_large_fpn", options={"HIDDEN"})
-    torchvision_checkpoint: props.text("", "", options={"HIDDEN"})
-    python_file: props.text("", "", options={"HIDDEN"})
-    python_function: props.text("", "", "load", options={"HIDDEN"})
     backgrounds: props.path(
         "Backgrounds", "Folder of photographs without people; empty for procedural scenes", "DIR_PATH"
     )
@@ -224,7 +206,7 @@ def output_folder(settings: CloakSettings) -> Path:
 HOOKS = Hooks(
     *blend_paths.HANDLERS,
     *(("undo_post", give_runs_back), ("redo_post", give_runs_back)),
-    *(("load_post", take_over), ("load_post", marks.mark_former)),
+    ("load_post", marks.mark_former),
 )
 CLASSES = (CloakObject, CloakJudging, CloakDetector, CloakSettings)
 

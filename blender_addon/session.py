@@ -9,25 +9,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
-
-
-class Task(Protocol):
-    """A job of `trainer/jobs.py`."""
-
-    label: str
-    running: bool
-    active: bool  # runs or waits its turn
 
 
 @dataclass
 class Session:
     """State of one Blender process; nothing of it is saved."""
 
-    jobs: list[Task] = field(default_factory=list)
-    """In the order in which they were asked for: at most one runs, some wait, and of each kind the last that ended."""
+    jobs: list[Any] = field(default_factory=list)
+    """Of `trainer/jobs.py`, as they were asked for: in each lane at most one runs; of each kind the last that ended."""
     eye: Any = None  # the detector's eye that is open
     eye_closed_because: str = ""  # error that closed the last eye; "" if there was none
     runs: dict[str, Any] = field(default_factory=dict)
@@ -45,15 +37,20 @@ class Session:
     _kept: dict[object, Any] = field(default_factory=dict)
 
     @property
-    def job(self) -> Task | None:
-        """The job that runs, else the one that was asked for last."""
-        return next((job for job in self.jobs if job.running), self.jobs[-1] if self.jobs else None)
+    def job(self) -> Any:
+        """The job that runs, that of the main lane before others; where none does, the one asked for last."""
+        running = [job for job in self.jobs if job.running]
+        return min(running, key=lambda job: job.lane, default=self.jobs[-1] if self.jobs else None)
 
-    def job_of(self, *labels: str) -> Task | None:
+    def first_in(self, lane: str) -> Any:
+        """The job of a lane that runs, or will next."""
+        return next((job for job in self.jobs if job.active and job.lane == lane), None)
+
+    def job_of(self, *labels: str) -> Any:
         """The last job of these kinds."""
         return next((job for job in reversed(self.jobs) if job.label in labels), None)
 
-    def training_of(self, run: Path) -> Task | None:
+    def training_of(self, run: Path) -> Any:
         """The job that trains a run, or will."""
         return next((job for job in self.jobs if job.active and getattr(job, "run", None) == run), None)
 

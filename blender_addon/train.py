@@ -8,26 +8,12 @@ Where the extension is installed, `blender -b body.blend --command cloak ...` is
 """  # noqa: E501
 
 import contextlib
-import importlib.util
 import os
 import shutil
 import sys
 from pathlib import Path
 
 import bpy
-
-NAME = "cloak_headless"  # of the package, installed extension or not
-
-
-def load() -> object:
-    """The add-on's module `headless`, from the folder of this file."""
-    folder = Path(__file__).resolve().parent
-    spec = importlib.util.spec_from_file_location(
-        NAME, folder / "__init__.py", submodule_search_locations=[str(folder)]
-    )
-    sys.modules[NAME] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[NAME])
-    return importlib.import_module(f"{NAME}.headless")
 
 
 def leave(code: int) -> None:
@@ -44,4 +30,7 @@ def leave(code: int) -> None:
 
 if __name__ == "__main__":
     given = sys.argv[1:] if bpy.app.binary_path == "" else []
-    leave(load().run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from blender_addon import headless
+
+    leave(headless.run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given))

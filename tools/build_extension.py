@@ -79,8 +79,12 @@ def stage(folder: Path) -> None:
             path.write_text(LICENCE + path.read_text("utf-8"), "utf-8")
     shutil.copyfile(ROOT / "LICENSES" / "GPL-3.0-or-later.txt", folder / "LICENSE")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    command = [trainer_python(), str(ROOT / "tools" / "blender_assets.py"), str(folder / "assets")]
+    cloths = folder.with_name("cloths")
+    command = [trainer_python(), str(ROOT / "tools" / "blender_assets.py"), str(folder / "assets"), str(cloths)]
     subprocess.run(command, check=True, env=environment | {"PYTHONPATH": str(ROOT)})
+    library = folder / "assets" / "library" / "cloths.blend"
+    command = [*run_in_blender(ROOT / "tools" / "blender_cloths.py"), str(folder), str(cloths), str(library)]
+    subprocess.run(command, check=True, stdout=sys.stderr, env=environment | {"PYTHONDONTWRITEBYTECODE": "1"})
     manifest = (ROOT / "blender_manifest.toml").read_text("utf-8")
     if site := os.environ.get("CLOAK_URL", "").rstrip("/"):
         manifest = manifest.replace('type = "add-on"\n', f'type = "add-on"\nwebsite = "{site}"\n')
@@ -90,6 +94,20 @@ def stage(folder: Path) -> None:
 def trainer_python() -> str:
     """The Python with cloak_core, which makes the assets; the builder's own has no place for it."""
     return os.environ.get("CLOAK_TRAINER") or str(ROOT / ".venv" / "bin" / "python")
+
+
+def run_in_blender(script: Path) -> list[str]:
+    """The command line that runs a script with Blender's Python; its arguments follow."""
+    here = importlib.util.find_spec("bpy") is not None
+    python = sys.executable if here else str(ROOT / ".venv-blender" / "bin" / "python")
+    if os.access(python, os.X_OK):
+        return [python, str(script)]
+    return [find_blender(), "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(script), "--"]
+
+
+def find_blender() -> str | None:
+    """Blender's program, where there is one."""
+    return os.environ.get("BLENDER") or shutil.which("blender")
 
 
 def find_builder() -> list[str] | None:
@@ -102,7 +120,7 @@ def find_builder() -> list[str] | None:
     for package in packages:
         for script in sorted(package.glob(f"*/{BUILDER}")):
             return [sys.executable, str(script)]
-    blender = os.environ.get("BLENDER") or shutil.which("blender")
+    blender = find_blender()
     return [blender, "--command", "extension"] if blender else None
 
 

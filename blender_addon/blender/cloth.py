@@ -7,8 +7,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..files.errors import InputError
 from .marks import CLOTH, PREFIX, layer_name, make_uv_map, remove_layer
+from .mesh_arrays import read
+from .pictures import image_pixels, load_image
+
+METRES = "cloak.metres"  # of a material that shows a ready cloth: after how many metres it repeats
 
 
 @dataclass(frozen=True)
@@ -21,20 +24,19 @@ class Cloth:
 
     def lay(self, obj: bpy.types.Object) -> bpy.types.Image:
         """Write the UV map; returns the image that is to be shown on it."""
-        make_uv_map(obj, CLOTH).uv.foreach_set("vector", np.ascontiguousarray(self.uv, np.float32).ravel())
+        lay_uv(obj, CLOTH, self.uv)
         self.image.name = PREFIX + CLOTH
         return self.image
 
 
-def load_picture(path: Path) -> bpy.types.Image:
+def lay_uv(obj: bpy.types.Object, role: str, uv: np.ndarray) -> None:
+    """Write our UV map in a role, [C, 2], made where there is none."""
+    make_uv_map(obj, role).uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
+
+
+def load_cloth(path: Path) -> bpy.types.Image:
     """A new image of a picture file, packed. Raises `InputError` where Blender cannot read it."""
-    try:
-        image = bpy.data.images.load(str(path), check_existing=False)
-    except RuntimeError:
-        raise InputError(f"{path}: cannot be read") from None
-    if not image.size[0]:
-        bpy.data.images.remove(image)
-        raise InputError(f"{path}: not a picture that Blender can read")
+    image = load_image(path)
     image.alpha_mode = "NONE"
     image.pack()
     return image
@@ -57,7 +59,7 @@ def cloth_of(material: bpy.types.Material) -> bpy.types.Image | None:
 
 def replace_picture(image: bpy.types.Image, path: Path) -> None:
     """Show a picture file wherever an image is shown, and remove the image."""
-    name, new = image.name, load_picture(path)
+    name, new = image.name, load_cloth(path)
     image.user_remap(new)
     bpy.data.images.remove(image)
     new.name = name
@@ -74,11 +76,12 @@ def take_off(mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
 
 def worn_pixels(mesh: bpy.types.Mesh, image: bpy.types.Image, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """[n, 3] sRGB of the cloth at points of the mesh: weights [n, 3] of three corners [n, 3] each."""
-    places = np.empty(2 * len(mesh.loops), np.float32)
-    mesh.uv_layers[layer_name(mesh, CLOTH)].uv.foreach_get("vector", places)
-    uv = (places.reshape(-1, 2)[corners] * weights[..., None]).sum(1) % 1
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    width, height = image.size
-    column, row = np.minimum((uv * [width, height]).astype(int), [width - 1, height - 1]).T
-    return pixels.reshape(height, width, image.channels)[row, column, :3]
+    places = read(mesh.uv_layers[layer_name(mesh, CLOTH)].uv, "vector", 2)
+    return pixels_at(image_pixels(image), (places[corners] * weights[..., None]).sum(1))[:, :3]
+
+
+def pixels_at(pixels: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """[n, channels]: pixels [H, W, channels] of a picture that repeats, at texture coordinates [n, 2]."""
+    size = np.array(pixels.shape[1::-1])
+    column, row = np.minimum((uv % 1 * size).astype(int), size - 1).T
+    return pixels[row, column]

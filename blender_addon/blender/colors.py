@@ -12,7 +12,7 @@ import numpy as np
 from ..session import session
 from ..ui.window import areas
 from . import mesh_arrays as arrays
-from .cloth import Cloth, cloth_of, show_on, take_off
+from .cloth import Cloth, cloth_of, pixels_at, show_on, take_off
 from .marks import (
     CLOTH,
     COLORS,
@@ -26,6 +26,7 @@ from .marks import (
     make_layer,
 )
 from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
+from .pictures import image_pixels
 
 SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
@@ -318,16 +319,11 @@ def _base_color_input(material: bpy.types.Material) -> bpy.types.NodeSocket | No
 
 def _image_colors(mesh: bpy.types.Mesh, image: bpy.types.Image) -> np.ndarray | None:
     """[F, 3] sRGB: the texel under the middle of each face's texture coordinates."""
-    width, height = image.size
-    if not width or not height:
+    if not image.size[0]:
         return None
-    pixels = arrays.image_pixels(image)
-    pixels = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, -1)
     places = arrays.mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))
-    middle = np.nan_to_num(places) % 1.0
-    x = np.minimum((middle[:, 0] * width).astype(int), width - 1)
-    y = np.minimum((middle[:, 1] * height).astype(int), height - 1)
-    texels = pixels[y, x]
+    texels = pixels_at(image_pixels(image), np.nan_to_num(places))
+    texels = texels[:, :3] if image.channels >= 3 else np.repeat(texels[:, :1], 3, -1)
     return linear_to_srgb(texels) if image.is_float else texels
 
 

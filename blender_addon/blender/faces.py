@@ -11,13 +11,12 @@ from pathlib import Path
 import bmesh
 import bpy
 import numpy as np
-from mathutils import Euler
 
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from . import mesh_arrays as arrays
+from .marks import free_name
 from .mesh_arrays import topology
-from .occlusion import meetings
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}  # boolean face attributes that Blender itself keeps
 
@@ -138,11 +137,7 @@ def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:
     if not mask.any():
         raise InputError("No faces to take: select faces in Edit Mode (or stamp a picture) first")
     name = name.strip().lstrip(".") or "Logo"
-    taken = {attribute.name for attribute in obj.data.attributes} | NOT_LOGOS
-    taken |= {group.name for group in obj.vertex_groups}  # Blender keeps one set of names for both
-    unique, number = name, 1
-    while unique in taken:
-        unique, number = f"{name}.{number:03d}", number + 1
+    unique = free_name(obj, f"{name} logo" if name in NOT_LOGOS else name)
     write_faces(obj, unique, mask)
     return unique
 
@@ -151,44 +146,6 @@ def remove_logo(obj: bpy.types.Object, name: str) -> None:
     """Take the logo off the mesh; its faces stay as they are."""
     with arrays.object_mode(obj):
         obj.data.attributes.remove(obj.data.attributes[name])
-
-
-def grow(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-    """The faces of `mask` and all that share a corner with them."""
-    with arrays.current_mesh(obj) as mesh:
-        counts, loops = arrays.polygon_loops(mesh)
-        touched = np.zeros(len(mesh.vertices), bool)
-    touched[loops[np.repeat(mask, counts)]] = True
-    return np.logical_or.reduceat(touched[loops], np.cumsum(counts) - counts)
-
-
-def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
-    """The faces opposite those of `mask` across the object's X = 0 plane, and how many have no opposite.
-
-    Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
-    """
-    with arrays.current_mesh(obj) as mesh:
-        centers, areas = arrays.read(mesh.polygons, "center", 3), arrays.read(mesh.polygons, "area")
-    ids = np.flatnonzero(mask)
-    reach = np.maximum(0.25 * np.sqrt(areas[ids]), 1e-9)
-    opposite = nearest_within(centers, centers[ids] * np.float32([-1, 1, 1]), reach)
-    mirrored = np.zeros(len(centers), bool)
-    mirrored[opposite[opposite >= 0]] = True
-    return mirrored, int((opposite < 0).sum())
-
-
-def nearest_within(points: np.ndarray, queries: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """[Q] index of the point [N, 3] nearest to each query [Q, 3] within its own reach [Q]; -1 where there is none."""
-    # Python asks a tree one point at a time; a grid answers all at once. Turned, for no mesh stands edge-on to it.
-    turn = np.array(Euler((0.5, 0.7, 1.1)).to_matrix())[:, :2]
-    middles, nearest, least = queries @ turn, np.full(len(queries), -1), reach**2
-    for query, point in meetings(middles - reach[:, None], middles + reach[:, None], points @ turn):
-        offset = points[point] - queries[query]
-        away = np.einsum("ij,ij->i", offset, offset)
-        near = np.flatnonzero(away <= least[query])
-        near = near[np.argsort(-away[near])]  # of several for one query the last one written stays
-        nearest[query[near]], least[query[near]] = point[near], away[near]
-    return nearest
 
 
 def import_face_list(obj: bpy.types.Object, path: Path) -> str:

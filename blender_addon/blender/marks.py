@@ -22,12 +22,13 @@ ORIGINAL_FACE = "original_face"  # the face that each one came from when the bod
 CARRIED = "carried_face"  # for the time of an export: each own face's number, counted from 1
 UV_MAP = "uv"  # a square of an image for each face
 CLOTH = "cloth"  # the corners' places on a cloth that repeats
+READY_CLOTH = "ready_cloth"  # the same, on the cloths of the asset library
 SHOWN_BEFORE = "shown_before"  # no layer of ours: the colour attribute that the mesh showed before ours
 KINDS = {
     **dict.fromkeys((COLORS, OUTFIT, HEATMAP), ("CORNER", "FLOAT_COLOR")),
     **dict.fromkeys((OWN_MATERIAL, ORIGINAL_FACE, CARRIED), ("FACE", "INT")),
     HEAT: ("FACE", "FLOAT"),
-    **dict.fromkeys((UV_MAP, CLOTH), ("CORNER", "FLOAT2")),
+    **dict.fromkeys((UV_MAP, CLOTH, READY_CLOTH), ("CORNER", "FLOAT2")),
 }
 """Domain and type of a layer by its role; "outfit.2" is a second outfit."""
 FORMER = {
@@ -62,10 +63,10 @@ def our_names(mesh: bpy.types.Mesh) -> set[str]:
     return {mesh[key] for key in mesh.keys() if key.startswith(PREFIX)}  # noqa: SIM118
 
 
-def free_name(obj: bpy.types.Object, role: str) -> str:
-    """The reserved name of a role, numbered where it is taken; attributes and vertex groups share their names."""
+def free_name(obj: bpy.types.Object, name: str) -> str:
+    """The name, numbered where it is taken; attributes and vertex groups share their names."""
     taken = {*obj.data.attributes.keys(), *obj.vertex_groups.keys()}
-    names = itertools.chain([PREFIX + role], (f"{PREFIX}{role}.{number:03d}" for number in itertools.count(1)))
+    names = itertools.chain([name], (f"{name}.{number:03d}" for number in itertools.count(1)))
     return next(name for name in names if name not in taken)
 
 
@@ -74,7 +75,7 @@ def make_layer(obj: bpy.types.Object, role: str) -> bpy.types.Attribute:
     mesh = obj.data
     if not layer_name(mesh, role):
         domain, kind = KINDS[role.partition(".")[0]]
-        mark(mesh, role, mesh.attributes.new(free_name(obj, role), kind, domain).name)
+        mark(mesh, role, mesh.attributes.new(free_name(obj, PREFIX + role), kind, domain).name)
     return layer_of(mesh, role)
 
 
@@ -83,7 +84,7 @@ def make_uv_map(obj: bpy.types.Object, role: str) -> bpy.types.MeshUVLoopLayer:
     mesh = obj.data
     if not layer_name(mesh, role):
         shown = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
-        layer = mesh.uv_layers.new(name=free_name(obj, role), do_init=False)
+        layer = mesh.uv_layers.new(name=free_name(obj, PREFIX + role), do_init=False)
         if layer is None:
             raise InputError("The mesh has as many UV maps as Blender allows: delete one")
         mark(mesh, role, layer.name)

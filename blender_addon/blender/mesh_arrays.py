@@ -206,10 +206,3 @@ def box_of(obj: bpy.types.Object) -> np.ndarray:
     """Lowest and highest corner [2, 3] of the object's box, in the world."""
     corners = to_world(np.array(obj.bound_box), np.array(obj.matrix_world))
     return np.stack([corners.min(0), corners.max(0)])
-
-
-def image_pixels(image: bpy.types.Image) -> np.ndarray:
-    """[H, W, channels] float32 as stored, bottom row first."""
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(image.size[1], image.size[0], image.channels)

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 from ..blender.faces import logo_names
-from ..blender.marks import ORIGINAL_FACE, free_name, layer_name, mark
+from ..blender.marks import ORIGINAL_FACE, PREFIX, free_name, layer_name, mark
 from ..blender.mesh_arrays import bmesh_of
 from ..files.errors import InputError
 
@@ -78,7 +78,7 @@ def subdivide(
     with bmesh_of(obj) as bm:
         before = len(bm.faces)
         if not layer_name(mesh, ORIGINAL_FACE):
-            layer = bm.faces.layers.int.new(free_name(obj, ORIGINAL_FACE))
+            layer = bm.faces.layers.int.new(free_name(obj, PREFIX + ORIGINAL_FACE))
             mark(mesh, ORIGINAL_FACE, layer.name)
             for index, face in enumerate(bm.faces):
                 face[layer] = index
@@ -94,7 +94,7 @@ def subdivide(
 
 
 def _split(obj: bpy.types.Object, bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
-    hidden_name, corner_name = free_name(obj, "hidden"), free_name(obj, "corner")
+    hidden_name, corner_name = free_name(obj, PREFIX + "hidden"), free_name(obj, PREFIX + "corner")
     hidden = any(face.hide for face in bm.faces)
     if hidden:  # splitting does not hand the flag down reliably
         layer = bm.faces.layers.int.new(hidden_name)

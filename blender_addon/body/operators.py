@@ -102,16 +102,3 @@ class CLOAK_OT_logo_onto(BodyOperator, label="Put the Logo on It", needs=logo_re
             raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
         write_faces(worn, logo, mask)
         return f"Logo '{logo}' goes on over {int(mask.sum()):,} faces of '{worn.name}'"
-
-
-class CLOAK_OT_leave_out(BodyOperator, label="Leave It Out"):
-    """Let the camera not see this piece, in training, judging and films; it stays visible in Blender"""
-
-    garment: props.text("Piece", "Name of what is left out")
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        worn = bpy.data.objects.get(self.garment)
-        if worn is None:
-            raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
-        worn.cloak.left_out = True
-        return f"The camera does not see '{worn.name}'"

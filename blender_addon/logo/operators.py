@@ -2,7 +2,6 @@
 """Operators of step 2, the logo."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -49,21 +48,6 @@ def take(obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool = False) 
     return name
 
 
-class LogoOperator(BodyOperator):
-    """Base of operators that give the active logo other faces: `faces_from(obj, mask) -> mask`."""
-
-    def __init_subclass__(cls, faces_from: Callable[[bpy.types.Object, np.ndarray], np.ndarray], **about: str) -> None:
-        super().__init_subclass__(needs=logo_reason, **about)
-        cls.faces_from = staticmethod(faces_from)
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        name = faces.active_logo(obj)
-        with current_mesh(obj):
-            mask = self.faces_from(obj, faces.read_faces(obj, name))
-            faces.write_faces(obj, name, mask)
-        return f"Logo '{name}': {int(mask.sum()):,} faces"
-
-
 class CLOAK_OT_logo_new(BodyOperator, label="New from Selection"):
     """Make a logo of the selected faces"""
 
@@ -74,28 +58,25 @@ class CLOAK_OT_logo_new(BodyOperator, label="New from Selection"):
         return f"Logo '{take(obj, mask, self.name)}': {int(mask.sum()):,} faces"
 
 
-class CLOAK_OT_logo_assign(LogoOperator, label="Assign", faces_from=lambda obj, mask: mask | selected_faces(obj)):
+class CLOAK_OT_logo_assign(BodyOperator, label="Assign", needs=logo_reason):
     """Add the selected faces to the active logo"""
 
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        return _write(obj, selected_faces(obj), True)
 
-class CLOAK_OT_logo_unassign(LogoOperator, label="Remove", faces_from=lambda obj, mask: mask & ~read_selection(obj)):
+
+class CLOAK_OT_logo_unassign(BodyOperator, label="Remove", needs=logo_reason):
     """Take the selected faces out of the active logo"""
 
-
-def smaller(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-    """The faces of a mask that touch none outside of it; `InputError` when none would be left."""
-    kept = ~faces.grow(obj, ~mask)
-    if not kept.any():
-        raise InputError("The logo is too small to shrink: nothing would be left")
-    return kept
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        return _write(obj, read_selection(obj), False)
 
 
-class CLOAK_OT_logo_grow(LogoOperator, label="Grow", faces_from=faces.grow):
-    """Extend the active logo by the faces around it"""
-
-
-class CLOAK_OT_logo_shrink(LogoOperator, label="Shrink", faces_from=smaller):
-    """Take the outermost faces off the active logo"""
+def _write(obj: bpy.types.Object, chosen: np.ndarray, belong: bool) -> str:
+    """Let the chosen faces belong to the active logo, or not; returns what to say."""
+    name = faces.active_logo(obj)
+    faces.write_faces(obj, name, np.full(len(chosen), belong), where=chosen)
+    return f"Logo '{name}': {int(faces.read_faces(obj, name).sum()):,} faces"
 
 
 class CLOAK_OT_logo_select(BodyOperator, label="Select", needs=logo_reason):
@@ -118,25 +99,6 @@ class CLOAK_OT_logo_remove(BodyOperator, label="Delete Logo", needs=logo_reason)
         faces.remove_logo(obj, name)
         obj.cloak.logo = next(iter(faces.logo_names(obj.data)), "")
         return f"Deleted logo '{name}'"
-
-
-class CLOAK_OT_logo_mirror(BodyOperator, label="Mirror", needs=logo_reason):
-    """Mirror the active logo across the object's X axis"""
-
-    extend: props.switch("Extend", "Keep the faces of this side as well", True)
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        name = faces.active_logo(obj)
-        with current_mesh(obj):
-            mask = faces.require_logo(obj, name)
-            mirrored, lost = faces.mirror(obj, mask)
-            if not mirrored.any():
-                raise InputError(
-                    f"No face lies opposite logo '{name}' across X: the mesh is not symmetric, or its origin is off"
-                )
-            faces.write_faces(obj, name, mirrored | mask if self.extend else mirrored)
-        note = f"; {lost:,} have no opposite" if lost else ""
-        return f"Logo '{name}': {int(mirrored.sum()):,} faces mirrored{note}"
 
 
 class CLOAK_OT_logo_export(CloakOperator, ExportHelper, label="Export Face List", needs=logo_reason):
@@ -167,15 +129,7 @@ class CLOAK_OT_logo_import(BodyOperator, ImportHelper, label="Import Face List")
 
 @of_the_body
 def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why no logo can be made of a heat map."""
-    if not layer_name(obj.data, HEAT):
-        return f"'{obj.name}' has no heat map: press Heatmap first"
-    return mode_reason(obj, "Leave {mode} to take faces from the heat map")
-
-
-@of_the_body
-def shown_heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why a heat map can be neither shown nor hidden."""
+    """Why a heat map can be neither shown nor hidden, nor faces taken from it."""
     if not layer_name(obj.data, HEAT):
         return f"'{obj.name}' has no heat map: press Heatmap first"
     return mode_reason(obj, "Leave {mode} to see the heat map")
@@ -226,7 +180,7 @@ def show_heat(obj: bpy.types.Object, heat: np.ndarray) -> None:
     colors.show_attribute(obj, HEATMAP)
 
 
-class CLOAK_OT_heatmap_toggle(BodyOperator, label="Toggle Heatmap", needs=shown_heat_reason):
+class CLOAK_OT_heatmap_toggle(BodyOperator, label="Toggle Heatmap", needs=heat_reason):
     """Show the heat map, or give the body its own look, or its cloak, back; the heat stays for New from Heatmap"""
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:

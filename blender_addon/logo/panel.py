@@ -63,7 +63,7 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
             wrapped(lines, bpy.context, f"{name} covers {share:.0%} of the logo", icon="ERROR")
             row = lines.row(align=True)
             row.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
-            row.operator("cloak.leave_out", text="Leave It Out").garment = name
+            row.prop(bpy.data.objects[name].cloak, "left_out", text="Leave It Out", toggle=True)
         if stats.hidden:
             lines.label(text=said(f"{stats.hidden:,} faces are hidden (Alt H shows them)"), icon="HIDE_ON")
 
@@ -83,11 +83,7 @@ class CLOAK_PT_regions(CloakPanel, label="More Ways to a Logo", inside="logo"):
         column.enabled = not body_reason(context)
         row = column.row(align=True)
         row.operator_menu_enum("cloak.logo_from_material", "slot", text="Material")
-        row.operator_menu_enum("cloak.logo_from_group", "group", text="Group")
-        row = column.row(align=True)
         row.operator_menu_enum("cloak.logo_from_face_set", "face_set", text="Face Set")
-        row.operator("cloak.logo_from_island", text="Island")
-        _buttons(column, "mirror", "grow", "shrink")
         row = column.row(align=True)
         row.operator("cloak.logo_export")
         row.operator("cloak.logo_import", text="Import")
@@ -106,22 +102,16 @@ class CLOAK_PT_stamp(CloakPanel, label="Stamp", inside="logo"):
             box.prop(settings, "stamp_text")
         elif settings.stamp_kind == "IMAGE":
             box.template_ID(settings, "stamp_image", open="image.open")
-        box.row(align=True).prop(settings, "stamp_from", expand=True)
-        box.prop(settings, "stamp_size")
-        if settings.stamp_from == "FRONT":
-            box.prop(settings, "stamp_center")
-            box.prop(settings, "stamp_offset")
+        for name in ("stamp_size", "stamp_center", "stamp_offset"):
+            box.prop(settings, name)
         drag = column.column(align=True)
         drag.operator("cloak.stamp_drag", text="Drag onto the Body", icon="VIEW_PAN").kind = "SETTINGS"
         kinds = drag.row(align=True)
         kinds.operator("cloak.stamp_drag", text="Drag Letter").kind = "LETTER"
         kinds.operator("cloak.stamp_drag", text="Drag Smiley").kind = "SMILEY"
-        presets = column.row(align=True)
-        presets.operator("cloak.stamp_paper", text="Paper's Letter").kind = "TEXT"
-        presets.operator("cloak.stamp_paper", text="Paper's Smiley").kind = "SMILEY"
         row = box.row(align=True)
-        row.operator("cloak.logo_stamp", text="Stamp New Logo").target = "NEW"
-        row.operator("cloak.logo_stamp", text="Add").target = "ADD"
+        row.operator("cloak.logo_stamp", text="Stamp New Logo").add = False
+        row.operator("cloak.logo_stamp", text="Add").add = True
 
 
 class CLOAK_PT_heatmap(CloakPanel, label="Heatmap", inside="logo"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of step 2 that take what belongs together: a material, a vertex group, a face set, a seam island."""
+"""Operators of step 2 that take what belongs together: a material, a face set."""
 
 from collections.abc import Callable
 
@@ -9,15 +9,14 @@ from bpy.props import EnumProperty
 
 from ..blender import colors
 from ..blender.marks import our_names
-from ..blender.mesh_arrays import bmesh_of, corner_edges, current_mesh, polygon_loops, read
+from ..blender.mesh_arrays import current_mesh, read
 from ..body.objects import body_reason
 from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
-from .operators import selected_faces, take
+from .operators import take
 
 Items = list[tuple[str, str, str]]  # of a menu: value, name, description
-MEMBER = 0.5  # weight from which a vertex counts as part of its group
 MAX_SETS, TITLES = 64, {".sculpt_face_set": "Face Set"}
 
 
@@ -37,11 +36,6 @@ def materials(obj: bpy.types.Object) -> Items:
     """The object's material slots."""
     names = [slot.name or f"Slot {index + 1}" for index, slot in enumerate(obj.material_slots)]
     return [(str(index), name, f"Faces of {name}") for index, name in enumerate(names)]
-
-
-def groups(obj: bpy.types.Object) -> Items:
-    """The object's vertex groups."""
-    return [(str(index), group.name, f"Faces of {group.name}") for index, group in enumerate(obj.vertex_groups)]
 
 
 def face_sets(obj: bpy.types.Object) -> Items:
@@ -64,7 +58,7 @@ class PickOperator(BodyOperator):
     has: whether an object has something to pick. lacks: what to say where it has not.
     """
 
-    def __init_subclass__(cls, label: str, has: Callable = lambda obj: True, lacks: str = "") -> None:
+    def __init_subclass__(cls, label: str, has: Callable, lacks: str) -> None:
         reason = lambda context: body_reason(context) or ("" if has(context.object) else lacks)
         super().__init_subclass__(label=label, needs=reason)
 
@@ -93,23 +87,6 @@ class CLOAK_OT_logo_from_material(
         return colors.own_material_slots(obj, mesh) == slot, materials(obj)[slot][1]
 
 
-class CLOAK_OT_logo_from_group(
-    PickOperator,
-    label="From Vertex Group",
-    has=lambda obj: len(obj.vertex_groups),
-    lacks="The body has no vertex groups",
-):
-    """Make a logo of the faces whose corners all weigh at least a half in a vertex group"""
-
-    bl_property = "group"
-
-    group: EnumProperty(name="Vertex Group", description="Whose faces to take", items=_menu(groups))
-
-    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
-        group = int(self.group)
-        return of_vertex_group(obj, group), obj.vertex_groups[group].name
-
-
 class CLOAK_OT_logo_from_face_set(
     PickOperator,
     label="From Face Set",
@@ -127,25 +104,6 @@ class CLOAK_OT_logo_from_face_set(
         return _integers(mesh, name) == int(value), f"{TITLES.get(name, name)} {value}"
 
 
-class CLOAK_OT_logo_from_island(PickOperator, label="From Seam Island"):
-    """Make a logo of everything between the seams around the selected faces"""
-
-    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
-        islands = seam_islands(obj)
-        return np.isin(islands, islands[selected_faces(obj)]), "Island"
-
-
-def of_vertex_group(obj: bpy.types.Object, group: int) -> np.ndarray:
-    """Faces whose corners all weigh at least a half in a vertex group."""
-    with bmesh_of(obj) as bm:  # five times as fast as from the mesh
-        layer = bm.verts.layers.deform.active
-        weights = (vertex[layer].get(group, 0.0) if layer else 0.0 for vertex in bm.verts)
-        member = np.fromiter(weights, np.float32, len(bm.verts)) >= MEMBER
-    with current_mesh(obj) as mesh:
-        counts, loops = polygon_loops(mesh)
-    return np.minimum.reduceat(member[loops], np.cumsum(counts) - counts)
-
-
 def is_face_set(obj: bpy.types.Object, attribute: bpy.types.Attribute) -> bool:
     """Whether an attribute sorts an object's faces by whole numbers, and is not kept by Blender or Cloak themselves."""
     whole = attribute.data_type in ("INT", "INT8") and attribute.domain == "FACE"
@@ -154,27 +112,3 @@ def is_face_set(obj: bpy.types.Object, attribute: bpy.types.Attribute) -> bool:
 
 def _integers(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
     return read(mesh.attributes[name].data, "value", dtype=np.int32)
-
-
-def seam_islands(obj: bpy.types.Object) -> np.ndarray:
-    """[F] for each face the lowest face of its island: faces that share an edge which is no seam are in one."""
-    with current_mesh(obj) as mesh:
-        counts, _ = polygon_loops(mesh)
-        edge = corner_edges(mesh)
-        inner = ~read(mesh.edges, "use_seam", dtype=bool)[edge]
-    edge, face = edge[inner], np.repeat(np.arange(len(counts)), counts)[inner]
-    order = np.argsort(edge, kind="stable")
-    edge, face = edge[order], face[order]
-    same = edge[1:] == edge[:-1]
-    a, b = face[:-1][same], face[1:][same]
-    label = np.arange(len(counts))
-    while True:
-        least = np.minimum(label[a], label[b])
-        following = label.copy()
-        for side in (a, b):  # also what the two were called until now: whole chains join at once
-            np.minimum.at(following, side, least)
-            np.minimum.at(following, label[side], least)
-        following = following[following]
-        if np.array_equal(following, label):
-            return label
-        label = following

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from mathutils import Matrix
 
 from ..blender.evaluated import Surface
-from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, vertex_points
+from ..blender.mesh_arrays import box_of, mesh_triangles, vertex_points
 from ..blender.occlusion import seen
+from ..blender.pictures import image_pixels
 from ..files.errors import InputError
 
 RESOLUTION = 512
@@ -89,23 +89,14 @@ def under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Projection:
-    """How points in world space become stamp coordinates: x and y inside +-1, and an inverse depth."""
+    """How parallel rays take points of the world to stamp coordinates: x and y inside +-1, and an inverse depth."""
 
-    to_plane: np.ndarray  # [4, 4]: x, y and w; x and y are divided by w
+    rows: np.ndarray  # [3, 4]
     direction: np.ndarray  # [3] into the scene
-    eye: np.ndarray | None = None  # [3] where rays come from; None for a parallel projection along `direction`
 
-    def of(self, points: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points [n, 3] around `middle` as x, y and inverse depth [n, 3]; mask of those before the eye."""
-        rows = self.to_plane
-        if self.eye is None:  # w is 1 everywhere, and inverse depth a coordinate like the others
-            rows = np.stack([rows[0], rows[1], [*-self.direction, 0.0]])
-            return points @ rows[:, :3].T + (rows[:, :3] @ middle + rows[:, 3]), np.ones(len(points), bool)
-        plane = points @ rows[[0, 1, 3], :3].T + (rows[:, :3] @ middle + rows[:, 3])[[0, 1, 3]]
-        ahead = plane[:, 2] > 1e-9
-        plane[:, 2] = 1 / np.where(ahead, plane[:, 2], 1)  # linear in the image
-        plane[:, :2] *= plane[:, 2:]
-        return plane, ahead
+    def of(self, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+        """Points [n, 3] around `middle` as x, y and inverse depth [n, 3]."""
+        return points @ self.rows[:, :3].T + (self.rows[:, :3] @ middle + self.rows[:, 3])
 
 
 def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float, angle: float = 0.0) -> Projection:
@@ -116,11 +107,10 @@ def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float,
         level = np.array([1.0, 0, 0])
     across = level / np.linalg.norm(level)
     above, cos, sin = np.cross(-into, across), np.cos(angle), np.sin(angle)
-    matrix = np.eye(4)
-    matrix[0, :3] = (cos * across + sin * above) / (height * aspect / 2)
-    matrix[1, :3] = (cos * above - sin * across) / (height / 2)
-    matrix[:2, 3] = -matrix[:2, :3] @ place
-    return Projection(matrix, into)
+    rows = np.stack([cos * across + sin * above, cos * above - sin * across, -into])
+    rows[:2] /= [[height * aspect / 2], [height / 2]]
+    offset = -rows @ place * [1, 1, 0]
+    return Projection(np.c_[rows, offset], into)
 
 
 def front_projection(obj: bpy.types.Object, size: float, center: float, offset: float, aspect: float) -> Projection:
@@ -129,14 +119,6 @@ def front_projection(obj: bpy.types.Object, size: float, center: float, offset: 
     tall = max(float(high[2] - low[2]), 1e-9)
     place = np.array([(low[0] + high[0]) / 2 + offset * tall, low[1], low[2] + center * tall])
     return laid(place, np.array([0.0, 1.0, 0.0]), size * tall, aspect)
-
-
-def view_projection(region: bpy.types.Region, view: bpy.types.RegionView3D, size: float, aspect: float) -> Projection:
-    """From the viewport, the stamp in its middle; `size` is a share of the viewport's height."""
-    inverse = view.view_matrix.inverted()
-    scale = Matrix.Diagonal((region.width / region.height / (size * aspect), 1 / size, 1, 1))
-    eye = np.array(inverse.translation) if view.is_perspective else None
-    return Projection(np.array(scale @ view.perspective_matrix), -np.array(inverse.to_3x3().col[2]), eye)
 
 
 class Placed:
@@ -156,19 +138,16 @@ class Placed:
     def faces(self, projection: Projection) -> np.ndarray:
         """The evaluated faces [n] whose centres lie under ink, that look at the viewer and that nothing hides."""
         surface = self.surface
-        plane, ahead = projection.of(surface.centers, surface.middle)
-        inside = np.flatnonzero((np.abs(plane[:, 0]) <= 1) & (np.abs(plane[:, 1]) <= 1) & ahead & surface.shown)
-        eye = projection.eye  # None: far away, against the direction
-        toward = -projection.direction if eye is None else eye - (surface.centers[inside] + surface.middle)
-        facing = (surface.normals[inside] * toward).sum(1) > 0
+        plane = projection.of(surface.centers, surface.middle)
+        inside = np.flatnonzero((np.abs(plane[:, 0]) <= 1) & (np.abs(plane[:, 1]) <= 1) & surface.shown)
+        facing = surface.normals[inside] @ projection.direction < 0
         inside = inside[facing & under_ink(plane[inside], self.ink)]
         if not len(inside):
             return inside
-        points, before = projection.of(surface.points, surface.middle)
+        points = projection.of(surface.points, surface.middle)
         low, high = plane[inside, :2].min(0), plane[inside, :2].max(0)
         sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
         behind = (points[:, 2] < plane[inside, 2].min()) * np.uint8(16)
         beyond, (a, b, c) = sides[:, 0] | sides[:, 1] | behind, surface.corners.T
         near = (beyond[a] & beyond[b] & beyond[c]) == 0  # a triangle beyond one side hides nothing
-        near &= before[a] & before[b] & before[c]
         return inside[seen(plane[inside], inside, points, surface.corners[near], surface.face[near])]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of step 2 that stamp a logo onto the body: placed by numbers, from the view, or by the mouse."""
+"""Operators of step 2 that stamp a logo onto the body: placed by numbers, or by the mouse."""
 
 import math
 from pathlib import Path
@@ -10,20 +10,18 @@ from bpy.props import FloatVectorProperty
 from mathutils import Vector
 
 from ..blender.evaluated import read_surface
-from ..blender.faces import face_areas
 from ..blender.mesh_arrays import triangle_areas
 from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
-from ..ui.window import areas, main_region
+from ..ui.window import main_region
 from . import stamp
 from .operators import take
 from .overlay import ADDED, MOVES, Preview
-from .stamp import Placed, Projection, front_projection, laid, view_projection
+from .stamp import Placed, Projection, front_projection, laid
 
 PAPER_SHARE = 0.044  # of the body's area: 2,426 (letter G) and 2,427 (smiley) of the paper's 55,152 faces
-HALVINGS = 7
 SIZES = {
     **dict.fromkeys(("WHEELUPMOUSE", "NUMPAD_PLUS", "EQUAL"), 1.08),
     **dict.fromkeys(("WHEELDOWNMOUSE", "NUMPAD_MINUS", "MINUS"), 1 / 1.08),
@@ -58,56 +56,14 @@ class StampOperator(BodyOperator):
 
 
 class CLOAK_OT_logo_stamp(StampOperator, label="Stamp"):
-    """Project the stamp onto the body and make a logo of the faces it covers"""
+    """Project the stamp onto the body's front and make a logo of the faces it covers"""
 
-    target: props.choice(
-        "Target",
-        "Where the covered faces go",
-        ("NEW", "New Logo", "Make a new logo"),
-        ("ADD", "Active Logo", "Add to the active logo"),
-    )
+    add: props.switch("Add", "Add to the active logo instead of making a new one")
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         settings = self.lay(context, obj)
-        if settings.stamp_from == "VIEW":
-            area = context.area if context.area and context.area.type == "VIEW_3D" else None
-            area = area or next((area for _, area in areas("VIEW_3D")), None)
-            if area is None or area.spaces.active.region_3d is None:
-                raise InputError("No 3D viewport to stamp from: choose From > Front")
-            view = (main_region(area), area.spaces.active.region_3d)
-            projection = view_projection(*view, settings.stamp_size, self._placed.aspect)
-        else:
-            place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
-            projection = front_projection(obj, *place, self._placed.aspect)
-        return self.write(projection, self.target == "ADD")
-
-
-class CLOAK_OT_stamp_paper(StampOperator, label="Paper's Logo"):
-    """Stamp the paper's letter G or smiley onto the chest, 4.4 % of the body's area as there"""
-
-    kind: props.choice(
-        "Logo",
-        "Which of the paper's logos",
-        ("TEXT", "Letter", "The letter G"),
-        ("SMILEY", "Smiley", "A ring with two eyes and a mouth"),
-    )
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        settings = context.scene.cloak
-        settings.stamp_kind, settings.stamp_text, settings.stamp_from = self.kind, "G", "FRONT"
-        settings.stamp_center, settings.stamp_offset = 0.72, 0.0
-        self.lay(context, obj)
-        area = face_areas(obj)
-        low, high, share = 0.02, 1.0, 0.0
-        for step in range(HALVINGS):
-            settings.stamp_size = (low + high) / 2
-            projection = front_projection(obj, settings.stamp_size, settings.stamp_center, 0.0, self._placed.aspect)
-            mask = self._placed.own_mask(projection)
-            share = float(area[mask].sum() / area.sum())
-            low, high = (settings.stamp_size, high) if share < PAPER_SHARE else (low, settings.stamp_size)
-            self.show((step + 1) / HALVINGS)
-        name = take(obj, mask, self._name)
-        return f"Logo '{name}': {int(mask.sum()):,} faces, {share:.1%} of the area"
+        place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
+        return self.write(front_projection(obj, *place, self._placed.aspect), self.add)
 
 
 class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reason):

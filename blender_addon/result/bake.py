@@ -16,6 +16,7 @@ from ..blender.cloth import show_on, worn_pixels
 from ..blender.marks import COLORS, UV_MAP, layer_name, make_uv_map, our_names
 from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, require_object_mode, triangle_corners
 from ..blender.occlusion import depth_buffer
+from ..blender.pictures import new_image
 from ..files.errors import InputError
 
 MARGIN = 4  # texels by which colours go on beyond the islands
@@ -60,10 +61,8 @@ def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambd
         show(0.6)
         off = faces_off(mesh, name, pixels, wanted)
     _sew(mesh, name, pixels)
-    image = bpy.data.images.new(f"{obj.name} cloak", size, size, alpha=True)
-    image.pixels.foreach_set(pixels.ravel())
+    image = new_image(f"{obj.name} cloak", pixels)
     show(0.8)
-    image.update()
     image.pack()
     return Baked(image, name, off, before)
 

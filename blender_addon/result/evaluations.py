@@ -70,7 +70,6 @@ class CloakJudging(bpy.types.PropertyGroup):
     people: props.path(
         "People", "People in photographs to wear the cloak: a people.json as COCO has them, or the folder it lies in"
     )
-    people_page: props.whole("Page", "Page of the pictures of people", min=0)
 
     film_format: props.choice(
         "Format",

@@ -26,9 +26,9 @@ from ..session import session
 from ..trainer.command_lines import cloak_command, options
 from ..trainer.onlooker import Onlooker, Seen
 from ..trainer.preferences import trainer
-from ..training.cloths import first_pose, is_cloth
+from ..training.cloths import is_cloth
 from ..training.detectors import judges
-from ..training.runs import exported_scene, run_of, trained_faces
+from ..training.runs import run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
 from ..ui.window import Hooks, areas, main_region, redraw
 from .reasons import export_worn, worn_reason
@@ -55,7 +55,6 @@ class Eye:
         self._shape: tuple = ()
         self._fitting: tuple[tuple, Path | None] = (), None
         self._exported: tuple = ()
-        self._pose = 0  # of the export: the current one
 
     def _look_with(self, specs: tuple[str, ...], device: str) -> None:
         """Start the process of these detectors."""
@@ -109,7 +108,7 @@ class Eye:
         worn, stamp = {}, 0
         if run is not None and (run / "colors.npy").is_file():
             worn = {"logo": str(run / "logo.npy"), "colors": str(run / "colors.npy")}
-            worn |= {"cloth": str(run), "pose": self._pose} if is_cloth(run) else {}
+            worn |= {"cloth": str(run)} if is_cloth(run) else {}
             stamp = (run / "colors.npy").stat().st_mtime_ns
         asked = (viewpoint, self._exported, stamp, tuple(worn.items()), tuple(background.items()))
         if asked != self._asked:
@@ -146,10 +145,7 @@ class Eye:
             return
         digest = shape_digest(context, [obj, *worn_by(obj)])
         if (digest, *about) != self._exported:
-            # A cloth lies on the body as it did in training, whatever pose the body has now.
-            laid_out = first_pose(obj, exported_scene(run)).vertices[0] if is_cloth(run) else None
-            bodies = export_worn(context, obj, run, PoseChoice(), self._folder / "scene", laid_out)
-            self._pose = bodies.pose_count - 1
+            export_worn(context, obj, run, PoseChoice(), self._folder / "scene")
             self._exported = (digest, *about)
         self._shape = (session.mesh_changes, *about)  # exporting may itself have counted as a change
 

@@ -24,7 +24,7 @@ from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
 from . import bake
 from .evaluations import backgrounds_option
-from .reasons import export_worn, judged_reason, result_reason
+from .reasons import export_worn, judged_reason
 from .viewpoints import of_camera
 
 SHEETS, TURNTABLE, FILM = "print sheets", "turntable", "film"
@@ -72,13 +72,6 @@ def keyframes(seconds: np.ndarray, away: np.ndarray) -> str:
 def film_reason(context: bpy.types.Context) -> str:
     """Why no turntable can be made, and no sheets to print."""
     return judged_reason(context) or poses_reason(context, PoseChoice())
-
-
-@of_the_body
-def made_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why there is nothing to open that was made of the body's run."""
-    reason = result_reason(context)
-    return reason or ("" if made(run_of(obj)) else "Nothing was made of this run yet")
 
 
 class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reason, trains=True):
@@ -190,7 +183,7 @@ class CLOAK_OT_export_glb(CloakOperator, ExportHelper, label="Export GLB", needs
         return f"Wrote {self.filepath}"
 
 
-class CLOAK_OT_show_made(CloakOperator, label="Open", needs=made_reason):
+class CLOAK_OT_show_made(CloakOperator, label="Open"):
     """Open it with the program that the system has for it"""
 
     path: props.text("Path", "What to open")

@@ -43,7 +43,9 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
         reason = result_reason(context)
         if ready_cloaks(None, context):
             self.layout.operator_menu_enum("cloak.ready_cloak", "cloak", text="Ready Cloaks", icon="MATCLOTH")
-        self.layout.operator("cloak.cloth_picture", icon="TEXTURE")
+        row = self.layout.row(align=True)
+        row.operator("cloak.cloth_picture", icon="TEXTURE")
+        row.operator("cloak.lay_cloth", text="Lay Cloth", icon="UV")
         column = self.gate(context, reason)
         dressed = not reason and is_dressed(active_body(context))
         column.operator("cloak.result_load", icon="IMPORT")

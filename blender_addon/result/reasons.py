@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ..body.garments import is_dressed, worn_by
 from ..body.objects import of_the_body, refusal
@@ -16,8 +15,9 @@ from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..poses.export import export_bodies
 from ..poses.poses import PoseChoice
+from ..training.cloths import first_pose, is_cloth
 from ..training.run_states import read_state
-from ..training.runs import export_of, run_of
+from ..training.runs import export_of, exported_scene, run_of
 
 
 @of_the_body
@@ -46,18 +46,12 @@ def worn_reason(obj: bpy.types.Object) -> str:
 
 
 def export_worn(
-    context: bpy.types.Context,
-    obj: bpy.types.Object,
-    run: Path | None,
-    choice: PoseChoice,
-    folder: Path,
-    laid_out: np.ndarray | None = None,
+    context: bpy.types.Context, obj: bpy.types.Object, run: Path | None, choice: PoseChoice, folder: Path
 ) -> Bodies:
     """A scene package in `folder` (replaced) of what the camera sees, with the faces that the run's colours are for.
 
-    laid_out: vertices [V, 3] of a pose to put first, in which a cloth is laid onto the body.
-
-    Raises `InputError` where the faces are not those of the training, and says which piece is there or is missing.
+    A cloth lies on the bodies as it does in the training and in Blender, whatever poses these are. Raises `InputError`
+    where the faces are not those of the training, and says which piece is there or is missing.
     """
     expected = read_face_list(run / "logo.npy").topology if run else None
     require_same_clothes(obj, run)
@@ -67,9 +61,9 @@ def export_worn(
             f"'{obj.name}' changed since {run.name} was trained: its faces, or those of its clothing, are others; undo "
             "the change, or train again"
         )
+    laid_out = first_pose(obj, exported_scene(run)).vertices[0] if is_cloth(run) else None
     if laid_out is not None and laid_out.shape == bodies.vertices[0].shape:
-        vertices, names = np.concatenate([laid_out[None], bodies.vertices]), ("laid out", *bodies.names)
-        bodies = replace(bodies, vertices=vertices, names=names, recorded_topology=bodies.topology)
+        bodies = replace(bodies, laid_out=laid_out, recorded_topology=bodies.topology)
     shutil.rmtree(folder, ignore_errors=True)
     write_scene(folder, bodies, creator="cloak add-on")
     return bodies

@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import bpy
-import numpy as np
 from mathutils import Vector
 
 from ..blender import colors
-from ..blender.mesh_arrays import evaluated_mesh, image_pixels, to_world, vertex_points
+from ..blender.mesh_arrays import evaluated_mesh, to_world, vertex_points
+from ..blender.pictures import read_picture, save_picture
 from ..body.garments import undress, worn_by
 from ..files.errors import InputError
 from ..files.reading import read_json
@@ -166,7 +166,7 @@ def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
     try:
         record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
         images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
-        told = record.get("detectors") or {"": {"scores": record["scores"]}}  # of one detector, until version 0.1
+        told = record["detectors"]
         scores = {spec: tuple(map(float, one["scores"])) for spec, one in told.items()}
         bounds = {spec: float(one.get("threshold", THRESHOLD)) for spec, one in told.items()}
         found = [Verdict(scores[spec], images, spec, bounds[spec]) for spec in told]
@@ -249,34 +249,9 @@ def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimut
 
 def _composite(path: Path, photograph: Path | None) -> None:
     """Put the body in `path` (RGBA) in front of a photograph, or of mid-grey; in display colours, as training does."""
-    body = _read_pixels(path)
-    height, width = body.shape[:2]
-    behind = np.full((height, width, 3), colors.GREY, np.float32)
+    body = read_picture(path)
+    behind = colors.GREY
     if photograph is not None:
-        behind = _read_pixels(photograph, cover=(width, height))[..., :3]
+        behind = read_picture(photograph, cover=body.shape[1::-1])[..., :3]
     alpha = body[..., 3:]
-    mixed = np.ones_like(body)
-    mixed[..., :3] = body[..., :3] * alpha + behind * (1 - alpha)
-    image = bpy.data.images.new("cloak render", width, height, alpha=False)
-    try:
-        image.pixels.foreach_set(mixed.ravel())
-        image.filepath_raw, image.file_format = str(path), "PNG"
-        image.save()
-    finally:
-        bpy.data.images.remove(image)
-
-
-def _read_pixels(path: Path, cover: tuple[int, int] | None = None) -> np.ndarray:
-    """[H, W, 4] as stored (display colours, straight alpha), bottom row first; scaled and cropped to `cover`."""
-    image = bpy.data.images.load(str(path), check_existing=False)
-    try:
-        if cover:
-            scale = max(cover[0] / image.size[0], cover[1] / image.size[1])
-            image.scale(math.ceil(image.size[0] * scale), math.ceil(image.size[1] * scale))
-        pixels = image_pixels(image)
-        if cover:
-            x, y = ((size - wanted) // 2 for size, wanted in zip(image.size, cover, strict=True))
-            pixels = pixels[y : y + cover[1], x : x + cover[0]]
-        return pixels
-    finally:
-        bpy.data.images.remove(image)
+    save_picture(path, body[..., :3] * alpha + behind * (1 - alpha))

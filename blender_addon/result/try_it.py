@@ -1,19 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Try It: one button from an empty file to pictures with a cloak and without: sample body, short training, check."""
+"""Try It: one button from an empty file to a picture before and after: sample body, short training, check.
+
+The status bar says how far it is.
+"""
 
 from collections.abc import Callable
 
 import bpy
+import numpy as np
 
 from ..blender import colors
+from ..blender.pictures import new_image, read_picture
 from ..body.objects import active_body
 from ..session import session
 from ..trainer.jobs import Job
+from ..training.runs import run_of, side_folder
+from ..translations import said
 from ..ui.operator import CloakOperator
-from ..ui.window import areas
+from ..ui.window import areas, show_image, tell_status
+from .render_check import last_verdicts
 
 STEPS = 100
 ANGLES = (-10, 10, 20)  # first, last and step, degrees
+PICTURE = "Cloak: before and after"
 
 
 class CLOAK_OT_try_it(CloakOperator, label="Try It", trains=True):
@@ -22,21 +31,29 @@ cloak and without, for the detector to judge. Takes some minutes; Blender stays 
 
     def run(self, context: bpy.types.Context) -> str:
         bpy.ops.cloak.add_sample_body()
-        _then(session.job_of("Sample body"), _train)
-        return "Sample body, short training, check: the panel shows how far it is"
+        _then("Sample body", _train)
+        return "Sample body, short training, check: the status bar shows how far it is"
 
 
-def _then(job: Job, following: Callable[[], None]) -> None:
-    """Let a step follow when a job has ended well; what it ends with is said before."""
-    before = job.on_end
+def _then(label: str, following: Callable[[], None]) -> None:
+    """Let a step follow when the job of this label has ended well; until then the status bar shows it."""
+    job = session.job_of(label)
+    end, tick = job.on_end, job.on_tick
+
+    def ticked(job: Job) -> None:
+        if job.active:
+            tell_status(f"{label}: {said(job.describe())}")
+        if tick is not None:
+            tick(job)
 
     def ended(job: Job) -> str | None:
-        message = before(job) if before is not None else None
+        tell_status("")
+        message = end(job) if end is not None else None
         if job.state == "done":
             following()
         return message
 
-    job.on_end = ended
+    job.on_end, job.on_tick = ended, ticked
 
 
 def _train() -> None:
@@ -44,7 +61,7 @@ def _train() -> None:
     settings.steps, settings.pose_source = STEPS, "CURRENT"
     settings.angle_first, settings.angle_last, settings.angle_step = ANGLES
     bpy.ops.cloak.train_start()
-    _then(session.job_of("Training"), _check)
+    _then("Training", _check)
 
 
 def _check() -> None:
@@ -54,3 +71,13 @@ def _check() -> None:
         area.spaces.active.shading.light = "FLAT"
     active_body(bpy.context).select_set(False)  # its outline would hide the cloak
     bpy.ops.cloak.render_check()
+    _then("Render check", _compare)
+
+
+def _compare() -> None:
+    """Show the first render without the cloak, and beside it the one with it."""
+    images = last_verdicts(side_folder(run_of(active_body(bpy.context))))[0].images
+    pixels = [read_picture(images[number])[..., :3] for number in (len(images) // 2, 0)]
+    image = new_image(PICTURE, np.concatenate(pixels, axis=1))
+    image.pack()
+    show_image(image)

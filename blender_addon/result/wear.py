@@ -17,7 +17,6 @@ from ..trainer.jobs import Job, run_cloak
 from ..trainer.progress import finite
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
-from ..ui import props
 from ..ui.drawing import icon_of, short
 from ..ui.operator import CloakOperator
 from ..ui.panel_parts import CloakPanel, settings_column, wrapped
@@ -26,7 +25,7 @@ from .reasons import result_reason
 
 WEAR, ANSWER = "worn by people", "answer.json"
 PICTURES = (".png", ".jpg", ".jpeg")
-A_PAGE, A_ROW = 6, 2
+SHOWN, A_ROW = 6, 2  # pictures in the panel
 
 
 def people_file(path: str) -> Path:
@@ -115,17 +114,6 @@ class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
         return f"{run.name} is put on by the people of {people.name}{waits}"
 
 
-class CLOAK_OT_wear_page(CloakOperator, label="Turn the Page"):
-    """Show other pictures"""
-
-    step: props.whole("Step", "Pages to turn", 1)
-
-    def run(self, context: bpy.types.Context) -> str:
-        judging = context.scene.cloak.judging
-        judging.people_page = max(0, judging.people_page + self.step)
-        return ""
-
-
 class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=True):
     """The cloak on people in photographs"""
 
@@ -145,18 +133,9 @@ class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=
                 row = table.split(factor=0.6)
                 row.label(text=CONTROLS.get(name, short(name, 24)))
                 row.label(text=f"{rate:.0%}")
-        self._gallery(worn, judging.people_page)
-
-    def _gallery(self, worn: Worn, page: int) -> None:
-        pages = max(1, -(-len(worn.pictures) // A_PAGE))
-        page = min(page, pages - 1)
         grid = self.layout.grid_flow(row_major=True, columns=A_ROW, even_columns=True)
-        for path in worn.pictures[page * A_PAGE : (page + 1) * A_PAGE]:
+        for path in worn.pictures[:SHOWN]:
             cell = grid.column(align=True)
             cell.template_icon(icon_of(path), scale=7.0)
             cell.label(text=short(path.stem, 24))
-        if pages > 1:
-            row = self.layout.row(align=True)
-            row.operator("cloak.wear_page", text="", icon="TRIA_LEFT").step = -1
-            row.label(text=f"{page + 1} / {pages}")
-            row.operator("cloak.wear_page", text="", icon="TRIA_RIGHT").step = 1
+        self.layout.operator("cloak.show_made", text="All Pictures", icon="FILE_FOLDER").path = str(worn.folder)

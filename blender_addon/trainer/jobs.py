@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Work done outside Blender: processes that a timer looks in on.
 
-Blender itself never waits: the timer's function (`tick`) takes what has arrived and returns. One job runs at a time,
-others wait their turn.
+Blender itself never waits: the timer's function (`tick`) takes what has arrived and returns. In each lane one job runs
+at a time, others wait their turn: trainings and what follows them in one, checks of detectors in another.
 Standard output and error go to files, so a trainer never blocks on a full pipe and its last words can be read.
 """
 
@@ -39,6 +39,9 @@ class Job:
     commands: lists of words. events: the commands' progress log, if they keep one.
     """
 
+    lane = ""
+    appends = False  # whether its log of events goes on with an earlier one
+
     def __init__(
         self, label: str, commands: Sequence, folder: Path, name: str, on_end: OnEnd = None, events: Path | None = None
     ) -> None:
@@ -71,7 +74,7 @@ class Job:
     def describe(self) -> str:
         """One line for the panel."""
         if self.state == "waiting":
-            return f"Waits for {session.job.label}"
+            return f"Waits for {session.first_in(self.lane).label}"
         return self._describe_running() if self.running else self.message
 
     def _describe_running(self) -> str:
@@ -97,6 +100,8 @@ class Job:
             self._finish("failed", self.reason(error))
 
     def _start(self, command: list[str]) -> subprocess.Popen:
+        if self._events is not None and not self.appends:
+            self._events.unlink(missing_ok=True)
         # Ctrl-C in Blender's terminal is ours to pass on.
         options = {"stdin": subprocess.DEVNULL, "start_new_session": os.name == "posix"}
         return start_process(command, self._out, self.log, **options)
@@ -196,6 +201,8 @@ class TrainingJob(Job):
     process: it needs the methods `poll` and `terminate` of `subprocess.Popen`. It goes on when this Blender closes.
     """
 
+    appends = True
+
     def __init__(self, command: list[str], run: Path, folder: Path, process: object = None) -> None:
         super().__init__("Training", [command], folder, "train", None, run / "events.jsonl")
         self.run, self.is_ours, self._process = run, process is None, process
@@ -250,19 +257,12 @@ def last_words(log: Path) -> str:
     return lines[-1].removeprefix("cloak: ")[:300] if lines else ""
 
 
-# --- the jobs of this Blender: one runs, the others wait their turn ---------------------------------------------------
-
-
-def busy() -> str:
-    """Why a job that cannot be queued may not start now; "" if it may."""
-    job = session.job
-    return f"{job.label} is running: wait for it, or cancel it" if job is not None and job.active else ""
+# --- the jobs of this Blender: one of each lane runs, the others wait their turn --------------------------------------
 
 
 def launch(job: Job) -> Job:
     """Start the job or queue it; the timer polls it. Raises `InputError`."""
-    ahead = session.job
-    if ahead is None or not ahead.active:
+    if session.first_in(job.lane) is None:
         job.start()
     session.jobs = [old for old in session.jobs if old.active or old.label != job.label]
     session.jobs.append(job)
@@ -278,8 +278,6 @@ def run_cloak(label: str, words: Iterable, folder: Path, name: str, on_done: OnE
     ", after Training" where it waits its turn.
     """
     events = folder / f"{name}.jsonl" if follow else None
-    if events:
-        events.unlink(missing_ok=True)
     command = cloak_command(trainer(), *words, *(["--events", events] if events else []))
     on_end = lambda job: on_done(job) if job.state == "done" else None
     return waits(launch(Job(label, [command], folder, name, on_end, events)))
@@ -287,21 +285,20 @@ def run_cloak(label: str, words: Iterable, folder: Path, name: str, on_done: OnE
 
 def waits(job: Job) -> str:
     """Return ", after Training" for a queued job, to be added to a message."""
-    return f", after {session.job.label}" if job.state == "waiting" else ""
+    return f", after {session.first_in(job.lane).label}" if job.state == "waiting" else ""
 
 
 def tick() -> float | None:
     """The timer's function: seconds until it wants to be called again, None when all jobs have ended."""
-    job = session.job
-    if job is not None and job.running:
+    for job in [job for job in session.jobs if job.running]:
         job.look()
         if not job.active and time.monotonic() - session.panel_drawn > UNSEEN_SECONDS:
             notify(job.message, bad=job.state == "failed" or job.is_bad_news)
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
-    for waiting in [job for job in session.jobs if job.state == "waiting"]:
-        if not session.job.running:
-            waiting.start_or_fail()
-    return TICK_SECONDS if session.job is not None and session.job.active else None
+    for job in [job for job in session.jobs if job.state == "waiting"]:
+        if session.first_in(job.lane) is job:
+            job.start_or_fail()
+    return TICK_SECONDS if any(job.active for job in session.jobs) else None
 
 
 def shut_down() -> None:

@@ -6,20 +6,21 @@ import json
 import bpy
 
 from ..ui.operator import CloakOperator
-from . import jobs
 from .command_lines import cloak_command
 from .jobs import Job, last_words, launch
 from .preferences import preferences, trainer, user_folder
 from .program import INSTALL_LINE
 
 
-class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer", needs=lambda context: jobs.busy()):
+class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer"):
     """Start the trainer and show its version and device"""
 
     def run(self, context: bpy.types.Context) -> str:
         command = cloak_command(trainer(), "setup")
         preferences().answer = "Starting the trainer..."
-        launch(Job("Test", [command], user_folder("test"), "test", _answered))
+        job = Job("Test", [command], user_folder("test"), "test", _answered)
+        job.lane = "Test"
+        launch(job)
         return "Testing the trainer: the answer appears in the preferences"
 
 

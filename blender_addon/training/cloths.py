@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..blender.cloth import Cloth, load_picture
+from ..blender.cloth import Cloth, load_cloth
 from ..blender.mesh_arrays import mesh_triangles, polygon_loops, vertex_points
 from ..body.objects import scene_axes
 from ..exchange.bodies import Bodies
@@ -33,7 +33,7 @@ def read_cloth(obj: bpy.types.Object, run: Path, scene: Path | None, first: int 
     if bodies.face_count == len(obj.data.polygons):  # these are the object's own faces alone
         first = 0
     before = int(bodies.loop_total[:first].sum())
-    image = load_picture(run / CLOTH_FILE)
+    image = load_cloth(run / CLOTH_FILE)
     uv = corner_uv(bodies, width, width * image.size[1] / image.size[0])
     return Cloth(image, uv[before : before + len(obj.data.loops)])
 

@@ -8,7 +8,6 @@ import json
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.props import CollectionProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
@@ -158,26 +157,6 @@ def add_file(settings: bpy.types.PropertyGroup, path: Path) -> CloakDetector:
     return added
 
 
-@persistent
-def take_over(*_: object) -> None:
-    """The detector of a file that was saved before there was a list goes into it."""
-    for scene in bpy.data.scenes:
-        old = scene.cloak
-        if scene.library is not None or old.detectors or old.detector == "BUILTIN":
-            continue
-        added = old.detectors.add()
-        if old.detector == "DARKNET":
-            added.file, added.weights = old.darknet_cfg, old.darknet_weights
-        elif old.detector == "PYTHON" and old.python_function == "load":
-            added.file = old.python_file
-        elif old.detector == "PYTHON":
-            added.spec = f"python:{absolute(old.python_file)}:{old.python_function}"
-        else:
-            checkpoint = f":{absolute(old.torchvision_checkpoint)}" if old.torchvision_checkpoint else ""
-            added.spec = f"torchvision:{old.torchvision_name}{checkpoint}"
-        old.detector = "BUILTIN"
-
-
 class CLOAK_OT_detector_add(CloakOperator, ImportHelper, label="Add Detector"):
     """Add a detector by its file: ONNX, ultralytics, OpenVINO, TFLite, Darknet, or Python. It is checked at once"""
 
@@ -240,8 +219,11 @@ def check(detector: CloakDetector) -> str:
     spec, folder = detector.bare, user_folder("detectors")
     detector.checked, detector.answer, detector.works = spec, "", False
     # One render is enough to know whether, and from which score on, it works.
-    command = cloak_command(trainer(), "detectors", "verify", spec, "--renders", 1)
-    return waits(launch(Job(CHECK, [command], folder, "check", lambda job: _told(job, spec))))
+    events = folder / "check.jsonl"
+    command = cloak_command(trainer(), "detectors", "verify", spec, "--renders", 1, "--events", events)
+    job = Job(CHECK, [command], folder, "check", lambda job: _told(job, spec), events)
+    job.lane = CHECK  # nothing that trains or judges waits for it
+    return waits(launch(job))
 
 
 def _told(job: Job, spec: str) -> str | None:

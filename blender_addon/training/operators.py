@@ -14,7 +14,7 @@ from ..poses.export import export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_options
 from ..session import session
 from ..trainer.command_lines import differing_options, train_command
-from ..trainer.jobs import Job, TrainingJob, busy, launch, waits
+from ..trainer.jobs import Job, TrainingJob, launch, waits
 from ..trainer.preferences import trainer
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator
@@ -137,10 +137,14 @@ class CLOAK_OT_set_angles(CloakOperator, label="Set Angles"):
         return ""
 
 
-class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=lambda _: "" if busy() else "Nothing is running"):
+class CLOAK_OT_train_cancel(CloakOperator, label="Cancel"):
     """End the job; a training ends after the current step and can be resumed"""
 
     number: props.whole("Job", "Its place in the queue; -1: the one that runs", -1)
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return "" if any(job.active for job in session.jobs) else "Nothing is running"
 
     def run(self, context: bpy.types.Context) -> str:
         job = session.jobs[self.number] if 0 <= self.number < len(session.jobs) else session.job

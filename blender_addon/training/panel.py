@@ -17,14 +17,10 @@ from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
 
 BLACK_BOX = "It only judges: its runtime gives no gradients to train with"
 RUN_ICONS = {RUNNING: "PLAY", DONE: "CHECKMARK", STOPPED: "PAUSE", FAILED: "ERROR"}
-COMPARED = 8  # runs, the latest ones
-COLUMNS = {
-    "In training": "Share of the last training images in which the detector does not report the body, a running mean",
-    "Unseen": "The same on bodies and backgrounds that training never saw, measured by Evaluate, of several detectors "
-    "the worst",
-    "Own clothing": "The control: the body in its own clothing, on the same images. A cloak is worth what it has more",
-    "Random": "The control: random colours on the logo's faces, on the same images",
-}
+UNSEEN = (
+    "Success on bodies and backgrounds that training never saw, measured by Evaluate, of several detectors the worst; "
+    "own clothing and random colours are the controls, on the same images"
+)
 
 
 class CLOAK_UL_detectors(bpy.types.UIList):
@@ -102,7 +98,7 @@ class CLOAK_PT_settings(CloakPanel, label="Settings", inside="train"):
 
 
 class CLOAK_UL_runs(bpy.types.UIList):
-    """The runs that were found, the latest first"""
+    """The runs that were found, the latest first: steps, success in training and, where it was measured, unseen"""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         state = session.runs.get(item.path)
@@ -112,8 +108,8 @@ class CLOAK_UL_runs(bpy.types.UIList):
         split.label(text=state.title, icon=RUN_ICONS[state.state])
         figures = split.row()
         figures.label(text=f"{state.progress.step:,}")
-        success = state.progress.success
-        figures.label(text="" if success is None else f"{success:.0%}")
+        for success in (state.progress.success, state.unseen.get("logo")):
+            figures.label(text="" if success is None else f"{success:.0%}")
 
 
 class CLOAK_PT_runs(CloakPanel, label="Runs"):
@@ -140,22 +136,7 @@ class CLOAK_PT_runs(CloakPanel, label="Runs"):
         reached = f" at {state.progress.describe()}" if state.progress.steps else ""
         words = f"{state.state.capitalize()}{reached}{of}{against}"
         wrapped(self.layout, context, f"{words}: {state.why}" if state.why else words, icon=RUN_ICONS[state.state])
-
-
-class CLOAK_PT_compare(CloakPanel, label="Compare", inside="runs"):
-    """The runs side by side: success in training, and of the evaluation on bodies and backgrounds it never saw"""
-
-    def draw(self, context: bpy.types.Context) -> None:
-        shown = [state for state in session.runs.values() if state.progress.success is not None][:COMPARED]
-        if not shown:
-            wrapped(self.layout, context, "No run has figures yet")
-            return
-        for state in shown:
-            column = self.layout.column(align=True)
-            column.label(text=state.title, icon=RUN_ICONS[state.state])
-            grid = column.grid_flow(row_major=True, columns=2, even_columns=True)
-            rates = (state.progress.success, *map(state.unseen.get, ("logo", "clothing", "random")))
-            for (name, tip), rate in zip(COLUMNS.items(), rates, strict=True):
-                figure(grid, f"{said(name)} {'–' if rate is None else f'{100 * rate:.0f} %'}", tip)
-        if not any(state.unseen for state in shown):
-            wrapped(self.layout, context, "Unseen: Evaluate, in step 5, measures it, beside its controls")
+        if unseen := state.unseen:
+            named = (("Unseen", "logo"), ("Own clothing", "clothing"), ("Random", "random"))
+            told = [f"{said(name)} {unseen[control]:.0%}" for name, control in named if control in unseen]
+            figure(self.layout, ", ".join(told), UNSEEN, "VIEWZOOM")

@@ -66,6 +66,24 @@ def notify(message: str, bad: bool) -> None:
         bpy.context.window_manager.popup_menu(draw, title="Cloak", icon="ERROR" if bad else "CHECKMARK")
 
 
+def tell_status(words: str) -> None:
+    """Show a line in the status bar of every window; "" brings Blender's own back."""
+    for window in bpy.context.window_manager.windows:
+        window.workspace.status_text_set(words or None)
+
+
+def show_image(image: bpy.types.Image) -> None:
+    """Show an image in a window of its own, as Blender shows a render; nothing without a window."""
+    windows = bpy.context.window_manager.windows
+    if bpy.app.background or not len(windows):
+        return
+    with bpy.context.temp_override(window=windows[0]):
+        bpy.ops.wm.window_new()
+    area = windows[-1].screen.areas[0]
+    area.ui_type = "IMAGE_EDITOR"
+    area.spaces.active.image = image
+
+
 @contextmanager
 def progress_cursor(context: bpy.types.Context) -> Iterator[Callable[[float], None]]:
     """Yields `show(fraction)`, 0 to 1, which the pointer shows in percent until the block ends."""

@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.options import Detecting
+from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Angles
 from cloak_core.files.errors import InputError
 
@@ -143,6 +144,8 @@ class Verify(Detecting):
     against: str | None = None
     """Detector that they are to agree with, the same network in another form (default: the file's own runtime, or the
     network as it was trained)."""
+    events: Path | None = None
+    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
 
     def run(self) -> dict:
         self.prepare()
@@ -153,7 +156,8 @@ class Verify(Detecting):
         from cloak_core.studies.clean import verify_specs
 
         original = None if self.against is None else self.load(self.against)
-        reports = verify_specs(self.specs, self.load, self.images, self.renders, original)
+        with counted("checking", self.events, "steps") as tell:
+            reports = verify_specs(self.specs, self.load, self.images, self.renders, original, tell)
         return reports[self.specs[0]] if len(reports) == 1 else reports
 
     def failures(self, result: dict) -> list[str]:

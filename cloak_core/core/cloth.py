@@ -20,12 +20,14 @@ LEAST_SQUARES = 1e-3
 
 
 def face_places(bodies: Bodies, logo: Logo) -> Float[np.ndarray, "L 2"]:
-    """Cloth coordinates of the centres of the logo's faces in the first pose, metres."""
+    """Cloth coordinates of the centres of the logo's faces in the pose for cloth, metres."""
+    bodies = bodies.for_cloth()
     return cloth_coordinates(face_centres(bodies)[logo.face_ids], face_normals(bodies)[logo.face_ids])
 
 
 def corner_places(bodies: Bodies) -> Float[np.ndarray, "2 3 T"]:
-    """Cloth coordinates of the triangles' corners in the first pose, metres; a face's triangles lie in one panel."""
+    """Cloth coordinates of the triangles' corners, metres, as `face_places`; a face's triangles lie in one panel."""
+    bodies = bodies.for_cloth()
     points = bodies.vertices[0][bodies.triangles]  # [T, 3, 3]
     normals = face_normals(bodies)[bodies.triangle_face]
     corners = [cloth_coordinates(points[:, corner], normals) for corner in range(3)]

@@ -50,6 +50,8 @@ class Bodies:
     outfit_textures: tuple[str, ...] = ()
     """For each outfit the name of the texture it wears, "" for one of plain faces; empty where all are plain. The
     `face_colors` of a textured outfit are the texture's means over the faces, for whoever needs one colour a face."""
+    laid_out: np.ndarray | None = None
+    """[V, 3] float32: the pose in which cloth is laid onto the bodies; the first of `vertices` where absent."""
     name: str = "scene"
     """Of the scene."""
     recorded_topology: str | None = None
@@ -71,6 +73,9 @@ class Bodies:
             vertices=checked(self.vertices, np.float32, "vertices", (None, None, 3)),
             triangles=checked(self.triangles, np.int32, "triangles", (None, 3)),
         )
+        if self.laid_out is not None:
+            self._put(laid_out=checked(self.laid_out, np.float32, "laid_out", (self.vertex_count, 3)))
+            check_finite(self.laid_out, "laid_out", ("vertex",))
         if not 1 <= self.pose_count <= MAX_POSES:
             raise InputError(f"vertices: {self.pose_count or 'no'} poses, and 1 to {MAX_POSES} are taken")
         if self.triangle_count > MAX_FACES:
@@ -190,7 +195,8 @@ class Bodies:
     @cached_property
     def identity(self) -> str:
         """SHA-256 (hex) of all that images of these bodies depend on: names and regions do not count."""
-        arrays = {key: getattr(self, key) for key in ("triangles", "triangle_face", "face_colors", "uv", "triangle_uv")}
+        names = ("triangles", "triangle_face", "face_colors", "uv", "triangle_uv", "laid_out")
+        arrays = {key: getattr(self, key) for key in names}
         hashes = {key: sha256_arrays(array) for key, array in arrays.items() if array is not None}
         worn = [self.texture_of(outfit) for outfit in range(self.outfit_count)]
         textures = ["" if image is None else sha256_arrays(image) for image in worn]
@@ -203,6 +209,11 @@ class Bodies:
                 frozen(array)
         for name, value in state.items():
             object.__setattr__(self, name, value)
+
+    def for_cloth(self) -> Bodies:
+        """The same bodies in the one pose in which cloth is laid onto them."""
+        pose = self.vertices[:1] if self.laid_out is None else self.laid_out[None]
+        return replace(self, vertices=frozen(pose), names=("laid out",), recorded_topology=self.topology)
 
     def select_poses(self, indices: object) -> Bodies:
         """The same bodies with only these poses (indices, in this order)."""

@@ -38,11 +38,12 @@ def cloth_coordinates(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def corner_uv(bodies: Bodies, width: float, height: float) -> np.ndarray:
     """Find the texture coordinates, v up, of the polygons' corners on a cloth of this size in metres; [C, 2] float32.
 
-    As the trainer lays it: in the first pose, each polygon within one panel. The picture repeats beyond [0, 1]. A scene
-    that stores no polygons has its triangles' corners instead.
+    As the trainer lays it: in the pose for cloth, each polygon within one panel. The picture repeats beyond [0, 1]. A
+    scene that stores no polygons has its triangles' corners instead.
     """
     face, loops = np.repeat(bodies.triangle_face, 3), bodies.triangles.ravel()
     if bodies.loop_total is not None:
         face, loops = np.repeat(np.arange(bodies.face_count), bodies.loop_total), bodies.loop_vertices
+    bodies = bodies.for_cloth()
     normals = face_normals(bodies)[face]
     return (cloth_coordinates(bodies.vertices[0][loops], normals) / [width, -height]).astype(np.float32)

@@ -15,7 +15,7 @@ from .checks import frozen
 from .versions import FORMAT_VERSION, check_version
 
 AXES = "y up, facing +z, right-handed"
-OPTIONAL = ("triangle_face", "face_colors", "loop_total", "loop_vertices", "uv", "triangle_uv")
+OPTIONAL = ("triangle_face", "face_colors", "loop_total", "loop_vertices", "uv", "triangle_uv", "laid_out")
 
 
 def read_scene(path: str | os.PathLike) -> Bodies:

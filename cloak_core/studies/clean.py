@@ -5,7 +5,8 @@ Of a detector behind masks also the certified recall: people whom one small patc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from cloak_core.core.logo import make_logo
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.detectors.check import read_image
 from cloak_core.detectors.defended.masks import Masks
-from cloak_core.detectors.verification.kit import framed, natural_size, verify
+from cloak_core.detectors.verification.kit import CHECKS, framed, natural_size, verify
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import SUFFIXES, Backgrounds, load_backgrounds
@@ -178,15 +179,26 @@ def verify_specs(
     folder: Path | None = None,
     renders: int = 4,
     original: Detector | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, dict]:
     """Run `verify` for each spec on the folder's pictures and on renders of the sample bodies; return the reports.
 
-    original: a detector that all of them must agree with; None for the one that `verify` finds.
+    original: a detector that all of them must agree with; None for the one that `verify` finds. on_progress: hears
+    (steps done, steps in all): of each spec loading, rendering, and each check.
     """
-    reports = {}
-    for spec in specs:
+    reports, steps = {}, len(CHECKS) + 3
+    for number, spec in enumerate(specs):
+        done = itertools.count(number * steps)
+
+        def tell(done: Iterator[int] = done) -> None:
+            on_progress(next(done), steps * len(specs))
+
+        tell()
         detector = load(spec)
-        reports[spec] = verify(detector, sample_images(natural_size(detector), folder, renders), original)
+        tell()
+        images = sample_images(natural_size(detector), folder, renders)
+        tell()
+        reports[spec] = verify(detector, images, original, tell)
     return reports
 
 

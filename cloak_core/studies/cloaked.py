@@ -137,10 +137,11 @@ def from_texture(picture: np.ndarray, logo: Logo, bodies: Bodies, path: Path) ->
 def cloth_colors(
     picture: UInt8[np.ndarray, "h w 3"], metres: float, bodies: Bodies, faces: Int64[np.ndarray, " L"]
 ) -> Float32[np.ndarray, "L 3"]:
-    """Look up a picture as cloth that repeats every `metres`, at the centre of each face in the first pose."""
+    """Look up a picture as cloth that repeats every `metres`, at the centre of each face in the pose for cloth."""
     width = max(4, round(metres / CLOTH_CELL))
     height = max(4, round(width * picture.shape[0] / picture.shape[1]))
     cells = np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX), np.float32) / 255
+    bodies = bodies.for_cloth()
     places = cloth_coordinates(face_centres(bodies)[faces], face_normals(bodies)[faces])
     column, row = np.floor(places / metres * width).astype(np.int64).T
     return cells[row % height, column % width]

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from harness import install, play, until_done
@@ -26,6 +27,15 @@ def press(operator, **options):
     """Call an operator as a button does: with an undo step after it."""
     with window():
         return operator("EXEC_DEFAULT", True, **options)
+
+
+def assign_all():
+    """Let the logo have every face: a step of undo."""
+    from cloak.blender import faces
+    from cloak.blender.mesh_arrays import face_count
+
+    faces.select_faces(body(), np.ones(face_count(body()), bool))
+    press(bpy.ops.cloak.logo_assign)
 
 
 def undo():
@@ -72,11 +82,11 @@ def check_undo():
     undo()
     print("undo and redo of Subdivide: ok", flush=True)
     yield 0.5
-    press(bpy.ops.cloak.logo_grow)
+    assign_all()
     grown = logo_size()
     undo()
-    assert logo_size() == size < grown, "undo of Grow"
-    print("undo of Grow: ok", flush=True)
+    assert logo_size() == size < grown, "undo of Assign"
+    print("undo of Assign: ok", flush=True)
 
 
 def check_undo_while_training():
@@ -87,7 +97,7 @@ def check_undo_while_training():
     settings = bpy.context.scene.cloak
     settings.output, settings.steps, settings.live_seconds = FOLDER, 500, 0.5
     bpy.context.view_layer.objects.active = body()
-    press(bpy.ops.cloak.logo_grow)
+    assign_all()
     press(bpy.ops.cloak.train_start)
     run = body().cloak.run
     while not colors.is_dressed(body()):
@@ -116,7 +126,7 @@ def check_training():
     press(bpy.ops.cloak.train_start)
     yield from until_done()
     assert colors.is_dressed(body())
-    press(bpy.ops.cloak.logo_grow)
+    assign_all()
     undo()
     assert colors.is_dressed(body()), "undoing the next step must not take the colours along"
     print("trained colours keep their own undo step: ok", flush=True)
@@ -131,7 +141,7 @@ def check_edit_mode():
     bpy.context.view_layer.objects.active = body()
     with window():
         set_mode("EDIT")
-        press(bpy.ops.cloak.logo_mirror)
+        assign_all()
         area = next(a for a in bpy.context.window_manager.windows[0].screen.areas if a.type == "VIEW_3D")
         with bpy.context.temp_override(area=area, region=next(r for r in area.regions if r.type == "WINDOW")):
             bpy.ops.mesh.select_all(action="SELECT")

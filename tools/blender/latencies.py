@@ -71,7 +71,7 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     numbers, kept = iter(range(10**6)), {}
 
     def stamped() -> None:
-        bpy.ops.cloak.logo_stamp(target="ADD")
+        bpy.ops.cloak.logo_stamp(add=True)
 
     def tinted() -> None:
         with current_mesh(obj):  # as the overlay does
@@ -106,8 +106,6 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     set_mode("OBJECT")
     obj.data.materials.append(bpy.data.materials.new("skin"))
     obj.data.attributes.new(".sculpt_face_set", "INT", "FACE")
-    group = obj.vertex_groups.new(name="all")
-    group.add(range(len(obj.data.vertices)), 1.0, "REPLACE")
     select_only(obj, range(count // 3, count // 2))
 
     actions = {
@@ -120,21 +118,15 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
         "tint": tinted,
         "assign": bpy.ops.cloak.logo_assign,
         "select": bpy.ops.cloak.logo_select,
-        "grow": bpy.ops.cloak.logo_grow,
-        "shrink": bpy.ops.cloak.logo_shrink,
-        "mirror": bpy.ops.cloak.logo_mirror,
         "remove": bpy.ops.cloak.logo_unassign,
         "paint: 20 dabs": painted,
         "drag: drop": dropped,
         "from material": picked("material", slot="0"),
-        "from vertex group": picked("group", group=str(group.index)),
         "from face set": picked("face_set", face_set="0 .sculpt_face_set"),
-        "from island": picked("island"),
         "export": exported,
         "new": bpy.ops.cloak.logo_new,
         "import": imported,
         "delete": bpy.ops.cloak.logo_remove,
-        "paper's letter": bpy.ops.cloak.stamp_paper,
     }
     figures = {}
     for name, action in actions.items():

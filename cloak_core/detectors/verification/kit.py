@@ -37,21 +37,27 @@ KEYS = ("parity_scores", "parity_boxes_px", "gradient_error", "batch_invariant",
 _log = logging.getLogger("cloak")
 
 
-def verify(detector: Detector, images: Images | None = None, original: Detector | None = None) -> dict[str, object]:
+def verify(
+    detector: Detector,
+    images: Images | None = None,
+    original: Detector | None = None,
+    on_check: Callable[[], None] = lambda: None,
+) -> dict[str, object]:
     """Check a detector on images of one size, in [0, 1] or bytes, photographs first; without any, on procedural scenes.
 
-    original: what to compare it with; None for what `original_of` finds. Returns {"spec", "layout" (of an ONNX file's
-    outputs, else the family), "white_box": it has gradients, "parity_scores" and "parity_boxes_px": largest differences
-    from the original, "gradient_error": relative, against a finite difference, "batch_invariant", "forward_ratio": time
-    beside the original's, "operating_point", "operating_point_assumed", "person_class": its index, "failed": names of
-    the checks that failed, "images": how many, "checks": {NAME: {"passed", "words"}}}; None where there is nothing to
-    compare with or to differentiate. What the detector raises fails the check that met it, and ends them.
+    original: what to compare it with; None for what `original_of` finds. on_check: called after each check. Returns
+    {"spec", "layout" (of an ONNX file's outputs, else the family), "white_box": it has gradients, "parity_scores" and
+    "parity_boxes_px": largest differences from the original, "gradient_error": relative, against a finite difference,
+    "batch_invariant", "forward_ratio": time beside the original's, "operating_point", "operating_point_assumed",
+    "person_class": its index, "failed": names of the checks that failed, "images": how many, "checks": {NAME:
+    {"passed", "words"}}}; None where there is nothing to compare with or to differentiate. What the detector raises
+    fails the check that met it, and ends them.
     """
     images = sample_images(natural_size(detector)) if images is None else images
     images = torch.cat([images] * -(-BATCH // len(images)))[: max(BATCH, len(images))]
     subject = Subject(detector, images, original or original_of(detector))
     before = state_hash(detector)
-    findings = _in_turn(CHECKS | {"state": lambda s: _unchanged(s.detector, before)}, subject)
+    findings = _in_turn(CHECKS | {"state": lambda s: _unchanged(s.detector, before)}, subject, on_check)
     figures = {key: value for finding in findings.values() for key, value in finding.figures.items()}
     family = detector.spec.partition(":")[0].partition("@")[0]
     return {
@@ -92,7 +98,9 @@ def framed(picture: Float[Tensor, "3 H W"], size: tuple[int, int]) -> Float[Tens
     return fit(picture[None], size, letterbox=True)[0][0]
 
 
-def _in_turn(checks: Mapping[str, Callable[[Subject], Finding]], subject: Subject) -> dict[str, Finding]:
+def _in_turn(
+    checks: Mapping[str, Callable[[Subject], Finding]], subject: Subject, on_check: Callable[[], None]
+) -> dict[str, Finding]:
     """Run each check; after the first that the detector answers with an error or a wrong shape, skip the rest.
 
     They would only meet the same cause again.
@@ -113,6 +121,7 @@ def _in_turn(checks: Mapping[str, Callable[[Subject], Finding]], subject: Subjec
             cause = name
         if name == "shapes" and findings[name].passed is False:
             cause = name
+        on_check()
     return findings
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from cloak.blender import mesh_arrays
+from cloak.blender import pictures
 from test_colors import made_run
 
 SQUARES, METRES = 8, 0.4
@@ -49,4 +49,4 @@ def wanted_at(x: np.ndarray, z: np.ndarray, squares: np.ndarray) -> np.ndarray:
 
 def seen_pixels(path: Path, side: int) -> np.ndarray:
     image = bpy.data.images.load(str(path))
-    return mesh_arrays.image_pixels(image).reshape(side, side, -1)[..., :3]
+    return pictures.image_pixels(image).reshape(side, side, -1)[..., :3]

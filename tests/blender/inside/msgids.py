@@ -15,7 +15,7 @@ from cloak.training import panel as training_panel
 ROOM = Path(cloak.__file__).parent
 DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
 TABLES = (
-    *(training_panel.COLUMNS, training_panel.COLUMNS.values(), evaluations.CONTROLS.values(), panel.CONTROL.values()),
+    *(("Unseen", "Random", training_panel.UNSEEN), evaluations.CONTROLS.values(), panel.CONTROL.values()),
     *(panel.RENDERS, [name for name, _ in eye.KINDS.values()]),
 )
 """What panels go through."""

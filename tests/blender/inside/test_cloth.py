@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, faces, mesh_arrays
+from cloak.blender import colors, faces, mesh_arrays, pictures
 from cloak.body import garments
 from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
@@ -68,7 +68,7 @@ def test_any_picture_is_worn_as_cloth(tmp_path):
     run = runs.run_of(obj)
     image, worn = colors.worn_cloth(obj.data)
     assert run.name == "Grid print" and np.flatnonzero(~worn).tolist() == [4] and read_state(run).state == "done"
-    assert np.abs(mesh_arrays.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
+    assert np.abs(pictures.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
     uv = mesh_arrays.read(obj.data.uv_layers["cloak.cloth"].uv, "vector", 2)
     assert np.allclose([uv.min(0), uv.max(0)], [[-0.5, -1], [0.5, 1]], atol=1e-5), "half as high as it is wide"
     bpy.ops.cloak.result_toggle()
@@ -138,7 +138,7 @@ def test_the_cloth_is_saved_with_the_file_and_comes_off_after(clothed, tmp_path)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     obj = bpy.data.objects["Body"]
     image, worn = colors.worn_cloth(obj.data)
-    assert np.abs(mesh_arrays.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
+    assert np.abs(pictures.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
     assert np.flatnonzero(worn).tolist() == ids.tolist()
     bpy.ops.cloak.result_toggle()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "cloaked.blend"))
@@ -172,7 +172,7 @@ def test_live_colours_show_the_cloth_as_it_is_now(tmp_path):
     save_picture(run / "cloth.png", random_squares(5))
     os.utime(run / "colors.npy", ns=(1, 1))
     assert live.update(bpy.context)
-    pixels = mesh_arrays.image_pixels(colors.worn_cloth(obj.data)[0])
+    pixels = pictures.image_pixels(colors.worn_cloth(obj.data)[0])
     assert np.abs(pixels[::-1, :, :3] - random_squares(5)).max() < 1e-6
     assert leftovers()[0] == ["cloak.cloth"]
     colors.undress(obj)

@@ -4,19 +4,23 @@ import json
 import os
 import struct
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, mesh_arrays
+from cloak.blender import colors, faces, mesh_arrays, pictures
 from cloak.body.samples import ASSETS
+from cloak.exchange.cloth import corner_uv
 from cloak.exchange.scenes import read_scene
+from cloak.poses.export import export
+from cloak.poses.poses import PoseChoice
 from cloak.result import bake, eye, render_check
 from cloak.session import session
 from cloak.training import runs
 from cloths_made import METRES, SQUARES, cloth_run, random_squares, seen_pixels, wall, wanted_at
-from conftest import MODULE, ROOT, elsewhere
+from conftest import MODULE, ROOT, elsewhere, run_job
 from made import add_camera
 from test_eye import asked, watch
 
@@ -107,7 +111,7 @@ def test_baked_texels_are_the_cloths(tmp_path, own_map):
     runs.import_colors(bpy.context, obj, cloth_run(tmp_path, obj, np.arange(9), squares))
     done = bake.bake(obj, 240)
     assert (done.uv_map, done.off) == ("UVMap" if own_map else "cloak.uv", 0)
-    pixels = mesh_arrays.image_pixels(done.image)
+    pixels = pictures.image_pixels(done.image)
     texels = set(map(tuple, np.round(255 * pixels[..., :3]).astype(int).reshape(-1, 3).tolist()))
     assert len(texels & set(map(tuple, np.round(255 * squares).astype(int).reshape(-1, 3).tolist()))) == SQUARES**2
     if own_map:
@@ -127,7 +131,7 @@ def test_a_glb_has_the_picture_itself_on_a_map_that_repeats(clothed, tmp_path):
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.import_scene.gltf(filepath=str(tmp_path / "body.glb"))
     (image,) = (i for i in bpy.data.images if tuple(i.size) == (SQUARES, SQUARES))
-    assert np.abs(mesh_arrays.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
+    assert np.abs(pictures.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
     (mesh,) = (o.data for o in bpy.data.objects if o.type == "MESH")
     uv = [mesh_arrays.read(layer.uv, "vector", 2) for layer in mesh.uv_layers]
     assert max(np.ptp(places[:, 1]) for places in uv) > 1.8 / METRES - 0.1, "metres of body over metres of cloth"
@@ -146,16 +150,48 @@ def test_the_second_blender_of_render_check_shows_the_cloth(clothed, tmp_path):
     assert shown.mean() > 0.02 and cloak[shown].std(0).min() > 0.1, "more than the grey mean of the faces"
 
 
-def test_the_eye_asks_for_the_cloth_in_the_pose_of_the_training(stub, clothed):
-    obj, _, _ = clothed
+@pytest.fixture
+def turned(clothed) -> bpy.types.Object:
+    """A body in a cloth that was trained on it, turned since."""
+    obj, ids, _ = clothed
+    run = runs.run_of(obj)
+    faces.new_logo(obj, "logo", np.isin(np.arange(len(obj.data.polygons)), ids))
+    export(bpy.context, obj, "logo", PoseChoice(), runs.input_folder(run))
+    bpy.ops.cloak.result_load()
+    obj.rotation_euler.z = 0.7
+    bpy.context.view_layer.update()
+    return obj
+
+
+def lies_as_in_training(scene: Path, obj: bpy.types.Object) -> bool:
+    """Whether the trainer lays the cloth onto the scene as Blender shows it on the object; the poses are others."""
+    bodies, width = read_scene(scene), METRES
+    shown = mesh_arrays.read(obj.data.uv_layers["cloak.cloth"].uv, "vector", 2)
+    turned = not np.allclose(corner_uv(replace(bodies, laid_out=None), width, width), shown, atol=1e-3)
+    return turned and np.allclose(corner_uv(bodies, width, width), shown, atol=1e-5)
+
+
+def test_frames_and_films_wear_the_cloth_as_it_lay_in_training(stub, turned):
+    """Whatever pose the first frame is in."""
+    obj = turned
+    judging = bpy.context.scene.cloak.judging
+    judging.bodies, judging.frame_start, judging.frame_end = "FRAMES", 1, 2
+    folder = runs.input_folder(runs.run_of(obj))
+    bpy.ops.cloak.evaluate()
+    assert run_job().state == "done" and lies_as_in_training(folder / "evaluation scene", obj)
+    bpy.ops.cloak.turntable()
+    assert run_job().state == "done" and lies_as_in_training(folder / "turntable scene", obj)
+
+
+def test_the_eye_asks_for_the_cloth_in_the_pose_of_the_training(stub, turned):
+    obj = turned
     bpy.context.scene.cloak.judging.eye_from = "CAMERA"
     add_camera((0, -3, 0.9))
     bpy.ops.cloak.eye()
     try:
         watch(lambda: session.eye.seen is not None)
-        assert asked()["cloth"] == str(runs.run_of(obj)) and asked()["pose"] == 1
-        bodies = read_scene(Path(bpy.app.tempdir, "cloak eye", "scene"))
-        assert bodies.pose_count == 2 and bodies.names[0] == "laid out"
+        assert asked()["cloth"] == str(runs.run_of(obj))
+        assert lies_as_in_training(Path(bpy.app.tempdir, "cloak eye", "scene"), obj)
         (runs.run_of(obj) / "cloth.png").unlink()
         obj.location.z = 0.25
         bpy.context.view_layer.update()

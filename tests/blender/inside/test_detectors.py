@@ -11,7 +11,7 @@ from cloak.properties import train_options
 from cloak.result import eye
 from cloak.session import session
 from cloak.training import detectors, panel
-from conftest import folder_of, run_job
+from conftest import folder_of, run_job, wait_for
 from made import add_camera
 from test_eye import watch
 
@@ -72,7 +72,7 @@ def test_adding_and_removing_detectors_are_steps_of_undo(ready, files):
 def test_a_cancelled_check_leaves_no_verdict_and_can_be_repeated(ready, files, monkeypatch):
     settings = bpy.context.scene.cloak
     add(files[".onnx"])
-    assert session.job.describe().startswith("Detector check, ")
+    assert session.job.describe() == "Detector check: preparing..."
     bpy.ops.cloak.train_cancel()
     assert run_job().state == "stopped"
     onnx = settings.detectors[0]
@@ -80,6 +80,21 @@ def test_a_cancelled_check_leaves_no_verdict_and_can_be_repeated(ready, files, m
     bpy.ops.cloak.detector_check()
     run_job()
     assert onnx.works and onnx.answer.startswith("works")
+
+
+def test_a_check_says_how_far_it_is_and_nothing_waits_for_it(ready, files, monkeypatch):
+    """Checks wait for each other; a training runs beside them."""
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    add(files[".onnx"], files[".pt"])
+    first, second = session.jobs
+    assert second.describe() == "Waits for Detector check"
+    bpy.ops.cloak.train_start()
+    training = session.job
+    assert first.running and training.label == "Training" and training.running
+    wait_for(lambda: first.progress.step >= 3)
+    assert 0.3 < first.fraction < 1 and first.describe().startswith("Detector check 3/8")
+    wait_for(lambda: not second.active)
+    assert [d.answer[:5] for d in bpy.context.scene.cloak.detectors] == ["works", "works"]
 
 
 def test_what_the_check_found_stands_in_the_list(ready, files, monkeypatch):
@@ -176,15 +191,3 @@ def test_the_eye_looks_with_the_list_and_follows_it(dressed, files):
         assert next(iter(session.eye.seen.glances)) == f"onnx:{files['.onnx']}@conf=0.5"
     finally:
         eye.close_eye()
-
-
-def test_a_file_of_version_0_1_keeps_its_detector(files):
-    settings = bpy.context.scene.cloak
-    settings.detector, settings.darknet_cfg, settings.darknet_weights = "DARKNET", files[".cfg"], files[".weights"]
-    detectors.take_over()
-    detectors.take_over()
-    assert detectors.judges(settings) == (f"darknet:{files['.cfg']}:{files['.weights']}",)
-    settings.detectors.clear()
-    settings.detector = "TORCHVISION"
-    detectors.take_over()
-    assert detectors.judges(settings) == ("torchvision:fasterrcnn_mobilenet_v3_large_fpn",)

@@ -110,7 +110,7 @@ def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
     assert words[1:] == ["builtin reports from 0.5", "    Own clothing: found, 0.90", "    Cloak: hidden, 0.20"]
     box = eye.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
     assert np.allclose(box, (100, 50, 200, 150))
-    assert not jobs.busy()  # it is no job: a training may run beside it
+    assert session.job is None  # it is no job: a training may run beside it
 
 
 def test_the_eye_looks_before_while_and_after_a_training_runs(ready, monkeypatch):
@@ -128,7 +128,7 @@ def test_the_eye_looks_before_while_and_after_a_training_runs(ready, monkeypatch
             return "cloak" in session.eye.seen.glances["builtin"]
 
         watch(sees_the_cloak)
-        assert jobs.busy()  # while it is being trained
+        assert session.job.active  # while it is being trained
         assert run_job().state == "done"
         told = asked()
         watch(lambda: not session.eye.waiting)

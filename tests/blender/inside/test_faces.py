@@ -78,52 +78,6 @@ def test_the_list_shows_the_active_logo_by_name_whatever_its_place():
     assert obj.cloak.logo == "one"
 
 
-@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
-def test_mirror(mode):
-    obj = make_egg()
-    side = centers(obj)[:, 0]
-    picked = np.flatnonzero((side > 0.05) & (centers(obj)[:, 2] > 1))
-    faces.new_logo(obj, "half", np.isin(np.arange(len(side)), picked))
-    set_mode(mode)
-    bpy.ops.cloak.logo_mirror(extend=False)
-    set_mode("OBJECT")
-    mirrored = np.flatnonzero(faces.read_faces(obj, "half"))
-    assert len(mirrored) == len(picked) and (side[mirrored] < -0.05).all()
-    expected = sorted(map(tuple, np.round(centers(obj)[picked] * [-1, 1, 1], 4)))
-    assert np.allclose(sorted(map(tuple, np.round(centers(obj)[mirrored], 4))), expected, atol=2e-4)
-    bpy.ops.cloak.logo_mirror(extend=True)
-    assert faces.read_faces(obj, "half").sum() == 2 * len(picked)
-
-
-def test_mirror_says_when_there_is_no_other_side():
-    obj = make_egg()
-    for vertex in obj.data.vertices:
-        vertex.co.x += 3
-    faces.new_logo(obj, "a", np.ones(len(obj.data.polygons), bool))
-    with pytest.raises(RuntimeError, match="not symmetric, or its origin is off"):
-        bpy.ops.cloak.logo_mirror()
-
-
-@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
-def test_grow_is_blenders_select_more_and_shrink_its_reverse(mode):
-    obj = make_egg()
-    start = np.flatnonzero(np.abs(centers(obj)[:, 2] - 0.9) < 0.1)
-    faces.new_logo(obj, "belt", np.isin(np.arange(len(obj.data.polygons)), start))
-    select_only(obj, start)
-    bpy.ops.mesh.select_more()
-    more = faces.read_selection(obj)
-    bpy.ops.mesh.select_more()
-    set_mode(mode)
-    bpy.ops.cloak.logo_grow()
-    assert np.array_equal(faces.read_faces(obj, "belt"), more)
-    bpy.ops.cloak.logo_shrink()
-    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "belt")), start)
-    faces.write_faces(obj, "belt", np.arange(len(more)) == 300)
-    with pytest.raises(RuntimeError, match="too small to shrink"):
-        bpy.ops.cloak.logo_shrink()
-    assert faces.read_faces(obj, "belt").sum() == 1
-
-
 def test_figures():
     obj = make_grid(5000)
     obj.scale = (2, 2, 2)

@@ -196,13 +196,13 @@ def test_faces_that_a_modifier_takes_away_are_not_trained(tmp_path):
 def test_a_stamp_under_a_subdivision_takes_own_faces():
     obj = make_grid(2000)
     bpy.context.scene.cloak.stamp_size = bpy.context.scene.cloak.stamp_center = 0.5
-    bpy.ops.cloak.logo_stamp(target="NEW")
+    bpy.ops.cloak.logo_stamp()
     plain = faces.read_faces(obj, "G")
     obj.modifiers.new("Subdivision", "SUBSURF").subdivision_type = "SIMPLE"
     for mode in ("OBJECT", "EDIT"):
         set_mode(mode)
         faces.write_faces(obj, "G", np.zeros(len(plain), bool))
-        bpy.ops.cloak.logo_stamp(target="ADD")
+        bpy.ops.cloak.logo_stamp(add=True)
         taken = faces.read_faces(obj, "G")
         assert (taken & plain).sum() > 0.9 * plain.sum() and taken.sum() < 2 * plain.sum()
         assert CARRIED not in obj.data.attributes

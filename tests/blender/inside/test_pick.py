@@ -1,11 +1,11 @@
-"""Step 2: logos of what belongs together already, and the paper's two stamps."""
+"""Step 2: logos of what belongs together already."""
 
 import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.logo import overlay, pick
-from made import centers, make_egg, make_grid, select_only, set_mode
+from cloak.logo import pick
+from made import centers, make_egg, set_mode
 
 
 def taken(obj, name: str) -> np.ndarray:
@@ -31,22 +31,6 @@ def test_a_logo_of_a_material_counts_what_the_cloak_covers(mode):
 
 
 @pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
-def test_a_logo_of_a_vertex_group_takes_whole_faces(mode):
-    obj = make_egg()
-    heavy = {v.index for v in obj.data.vertices if v.co.z > 0.9}
-    group = obj.vertex_groups.new(name="upper")
-    group.add(sorted(heavy), 0.7, "REPLACE")
-    group.add([v.index for v in obj.data.vertices if v.index not in heavy], 0.2, "REPLACE")
-    set_mode(mode)
-    bpy.ops.cloak.logo_from_group(group="0")
-    set_mode("OBJECT")
-    expected = [p.index for p in obj.data.polygons if set(p.vertices) <= heavy]
-    assert (
-        taken(obj, "upper.001").tolist() == expected and expected
-    )  # Blender keeps names of groups and attributes apart
-
-
-@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
 @pytest.mark.parametrize(("name", "title"), [("Körper teile", "Körper teile 7"), (".sculpt_face_set", "Face Set 7")])
 def test_a_logo_of_a_face_set_or_of_any_integer_attribute(mode, name, title):
     obj = make_egg()
@@ -61,42 +45,7 @@ def test_a_logo_of_a_face_set_or_of_any_integer_attribute(mode, name, title):
     assert np.array_equal(taken(obj, title), np.flatnonzero(upper))
 
 
-@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
-def test_a_logo_of_the_island_between_seams(mode):
-    obj = make_egg()
-    middle = 0.9
-    for edge in obj.data.edges:
-        heights = [obj.data.vertices[v].co.z for v in edge.vertices]
-        edge.use_seam = max(abs(h - middle) for h in heights) < 1e-3
-    above = centers(obj)[:, 2] > middle
-    assert len(np.unique(pick.seam_islands(obj))) == 2
-    select_only(obj, [int(np.flatnonzero(above)[0])])
-    set_mode(mode)
-    bpy.ops.cloak.logo_from_island()
-    assert np.array_equal(taken(obj, "Island"), np.flatnonzero(above))
-
-
-def test_islands_of_a_large_winding_mesh():
-    obj = make_grid(60_000)
-    assert not pick.seam_islands(obj).any()
-
-
-def test_without_materials_or_groups_the_button_says_so():
+def test_without_materials_the_button_says_so():
     make_egg()
     with pytest.raises(RuntimeError, match="The body has no materials"):
         bpy.ops.cloak.logo_from_material()
-    with pytest.raises(RuntimeError, match="The body has no vertex groups"):
-        bpy.ops.cloak.logo_from_group()
-    with pytest.raises(RuntimeError, match="No faces selected"):
-        faces.select_faces(bpy.context.object, np.zeros(len(bpy.context.object.data.polygons), bool))
-        bpy.ops.cloak.logo_from_island()
-
-
-@pytest.mark.parametrize(("kind", "name"), [("TEXT", "G"), ("SMILEY", "Smiley")])
-def test_the_papers_logos_take_the_papers_share_of_the_body(kind, name):
-    obj = make_egg(60)
-    bpy.ops.cloak.stamp_paper(kind=kind)
-    mask = faces.read_faces(obj, name)
-    assert overlay.worn_stats(obj, mask).area_share == pytest.approx(0.044, rel=0.1)
-    assert (centers(obj)[mask][:, 1] < 0).all()
-    assert bpy.context.scene.cloak.stamp_kind == kind

@@ -58,7 +58,7 @@ def test_the_zip_holds_the_add_on_and_no_more(archive):
     others = {"blender_manifest.toml", "translations/words.toml", "LICENSE"}
     assets = {name for name in names if name.startswith("assets/")}
     assert names - assets == ROOMS.keys() | SHARED.keys() | others
-    assert {Path(name).suffix for name in assets} <= {".npz", ".npy", ".json", ".png"}
+    assert {Path(name).suffix for name in assets} <= {".npz", ".npy", ".json", ".png", ".blend"}
     assert all(archive.read(name) == path.read_bytes() for name, path in ROOMS.items())
     assert all(archive.read(name).endswith(path.read_bytes()) for name, path in SHARED.items())
     assert sum(info.file_size for info in archive.infolist()) < 10e6

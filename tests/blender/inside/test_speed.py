@@ -19,13 +19,11 @@ def test_every_action_on_a_large_mesh_in_edit_mode(tmp_path):
     select_only(obj, range(count // 3, count // 2))
     actions = {
         "new": lambda: bpy.ops.cloak.logo_new(name="logo"),
-        "stamp": lambda: bpy.ops.cloak.logo_stamp(target="ADD"),
+        "stamp": lambda: bpy.ops.cloak.logo_stamp(add=True),
         "figures": lambda: overlay.active_stats(obj),
         "tint": lambda: overlay.tint_triangles(obj, faces.read_faces(obj, "logo")),
         "assign": bpy.ops.cloak.logo_assign,
         "select": bpy.ops.cloak.logo_select,
-        "grow": bpy.ops.cloak.logo_grow,
-        "mirror": bpy.ops.cloak.logo_mirror,
         "export": lambda: bpy.ops.cloak.logo_export(filepath=str(tmp_path / "list.npy")),
     }
     for action in actions.values():
@@ -69,23 +67,6 @@ def test_the_copy_of_an_edited_mesh_ages_with_each_change():
         faces.write_faces(obj, "a", only, where=only)
         assert faces.read_faces(obj, "a").sum() == 6
     assert not [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(".cloak")]
-
-
-def test_the_nearest_point_within_reach():
-    rng = np.random.default_rng(1)
-    points, queries = rng.normal(size=(500, 3)), rng.normal(size=(300, 3))
-    reach = 10.0 ** rng.uniform(-3, 0.3, 300)
-    distance = np.linalg.norm(points[None] - queries[:, None], axis=-1)
-    expected = np.where(distance.min(1) <= reach, distance.argmin(1), -1)
-    assert np.array_equal(faces.nearest_within(points, queries, reach), expected)
-    assert 50 < (expected >= 0).sum() < 290
-
-
-def test_a_mirror_on_a_large_regular_mesh():
-    """Equal coordinates made a k-d tree quadratic: minutes."""
-    obj = make_fine_egg(30_000)
-    half = np.arange(len(obj.data.polygons)) % 2 == 0
-    assert faces.mirror(obj, half)[1] == 0
 
 
 @pytest.mark.parametrize("spread", [0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Stamps: text, pictures and the smiley, from the front and from a view."""
+"""Stamps: text, pictures and the smiley, laid from the front."""
 
 import bpy
 import numpy as np
@@ -8,7 +8,6 @@ from cloak.blender.evaluated import read_surface
 from cloak.files.errors import InputError
 from cloak.logo import stamp
 from made import centers, make_egg, make_grid
-from mathutils import Matrix
 
 
 def test_a_letter_has_its_shape():
@@ -51,7 +50,7 @@ def test_a_letter_on_a_wall_reads_the_right_way_round():
     obj = make_grid(20_000)  # 2 m wide, 2 m tall, seen from the front
     settings = bpy.context.scene.cloak
     settings.stamp_text, settings.stamp_size, settings.stamp_center = "L", 0.5, 0.5
-    bpy.ops.cloak.logo_stamp(target="NEW")
+    bpy.ops.cloak.logo_stamp()
     points = centers(obj)[faces.read_faces(obj, "L")]
     assert points[:, 2].min() == pytest.approx(0.5, abs=0.02) and points[:, 2].max() == pytest.approx(1.5, abs=0.02)
     low, high = points[points[:, 2] < 0.6], points[points[:, 2] > 1]
@@ -89,29 +88,6 @@ def test_a_front_part_hides_what_lies_behind_it():
     mask = covered(obj, wall, stamp.front_projection(obj, 1.0, 0.5, 0.0, 1.0))
     taken = centers(obj)[mask]
     assert (np.abs(taken[taken[:, 1] > -0.25][:, 0]) > 0.45).all() and (taken[:, 1] < -0.25).any()
-
-
-def test_from_a_perspective_view():
-    obj = make_egg()
-
-    class Region:
-        width, height = 800, 400
-
-    class View:
-        is_perspective = True
-        view_matrix = (Matrix.Translation((0, -4, 0.9)) @ Matrix.Rotation(np.pi / 2, 4, "X")).inverted()
-
-    near, far, tangent = 0.1, 100, 0.3
-    window = Matrix.Diagonal((1 / (2 * tangent), 1 / tangent, -(far + near) / (far - near), 0))
-    window[2][3], window[3][2], window[3][3] = -2 * far * near / (far - near), -1, 0
-    View.perspective_matrix = window @ View.view_matrix
-    projection = stamp.view_projection(Region, View, 0.25, 1.0)
-    assert projection.eye == pytest.approx([0, -4, 0.9]) and projection.direction == pytest.approx([0, 1, 0], abs=1e-6)
-    mask = covered(obj, np.ones((4, 4), bool), projection)
-    points = centers(obj)[mask]
-    # A quarter of the view's height at 3.75 m: 0.25 * 2 * 3.75 * 0.3 = 0.56 m, centred on the eye's height.
-    assert np.ptp(points[:, 2]) == pytest.approx(0.56, abs=0.1) and points[:, 2].mean() == pytest.approx(0.9, abs=0.03)
-    assert (points[:, 1] < 0).all()
 
 
 def test_a_stamp_beside_the_body_is_said():

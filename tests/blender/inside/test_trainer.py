@@ -5,9 +5,11 @@ from pathlib import Path
 
 import bpy
 import cloak
+import numpy as np
 import pytest
-from cloak.blender import colors
+from cloak.blender import colors, pictures
 from cloak.files.errors import InputError
+from cloak.result import try_it
 from cloak.session import session
 from cloak.trainer import command_lines, jobs, program
 from cloak.trainer import preferences as preferences_module
@@ -86,10 +88,20 @@ def test_without_a_trainer_what_needs_one_is_not_there_and_the_rest_works(ready,
     assert bpy.context.object not in (sample, ready) and colors.is_dressed(bpy.context.object)
 
 
-def test_try_it_goes_from_nothing_to_a_check(stub, tmp_path):
+def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(try_it, "tell_status", told.append)
     bpy.context.scene.cloak.output = str(tmp_path / "runs")
     bpy.ops.cloak.try_it()
     job = run_job(400)
+    assert {words.partition(":")[0] for words in told} == {"Sample body", "Training", "Render check", ""} and not told[
+        -1
+    ]
+    assert any("Render check 2/" in words for words in told), "how far it is"
+    before, after = np.split(pictures.image_pixels(bpy.data.images[try_it.PICTURE])[..., :3], 2, axis=1)
+    assert before.shape == after.shape == (416, 416, 3) and bpy.data.images[try_it.PICTURE].packed_file
+    reddish = [((pixels[..., 0] > 0.6) & (pixels[..., 1] < 0.3)).mean() for pixels in (before, after)]
+    assert reddish[0] < 0.01 < reddish[1], "the stub's cloak is red"
     assert (job.label, job.state) == ("Render check", "done"), job.message
     assert [session.job_of(kind).state for kind in ("Sample body", "Training")] == ["done", "done"]
     assert (

@@ -28,9 +28,6 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     assert (worn.people, worn.left_out, len(worn.pictures)) == (2, 1, 8)
     assert worn.rates == {"builtin": {"run": 0.5, "clothing": 0.0, "grey": 0.05, "random": 0.1}}
     assert [path.stem for path in worn.pictures[:2]] == ["before", "after run"]
-    bpy.ops.cloak.wear_page(step=1)
-    bpy.ops.cloak.wear_page(step=-5)
-    assert judging.people_page == 0
     bpy.ops.cloak.wear()
     run_job()
     assert wear.last_worn(folder_of(dressed)).folder.name == "worn by people 2"

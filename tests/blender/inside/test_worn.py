@@ -51,7 +51,7 @@ def test_what_lies_on_the_body_is_seen_and_what_stands_beside_it_is_not(chest):
     assert "with Hat, Shirt" in export_summary(bpy.context)
     hat.hide_set(True)
     assert garments.worn_by(chest) == [shirt]
-    bpy.ops.cloak.leave_out(garment="Shirt")
+    bpy.data.objects["Shirt"].cloak.left_out = True
     assert garments.worn_by(chest) == [] and garments.wearable(chest) == [shirt]
 
 
@@ -70,7 +70,7 @@ def test_figures_say_what_covers_the_logo_and_count_only_what_is_seen(chest):
     over = centers(shirt)[faces.read_faces(shirt, "chest")]
     assert (over[:, 1] < 0).all(), "the back stays plain"
     faces.remove_logo(shirt, "chest")
-    bpy.ops.cloak.leave_out(garment="Shirt")
+    bpy.data.objects["Shirt"].cloak.left_out = True
     assert overlay.active_stats(chest) == bare
 
 
@@ -90,7 +90,7 @@ def test_training_and_judging_see_the_same_pieces_or_say_which_differs(chest):
     assert "was trained without 'Coat': leave it out" in judged_reason(bpy.context)
     with pytest.raises(InputError, match="without 'Coat'"):
         export_worn(bpy.context, chest, run, PoseChoice(), run.parent / "seen")
-    bpy.ops.cloak.leave_out(garment="Coat")
+    bpy.data.objects["Coat"].cloak.left_out = True
     assert judged_reason(bpy.context) == ""
     assert scene_export.read_export(runs.input_folder(run)).faces == bodies.face_count
 

@@ -168,6 +168,7 @@ def verify(spec: str) -> None:
     """Everything works, and it reports from 0.25 on."""
     if "refuse" in HOW:
         refuse(f"{spec}: no such thing here")
+    count(8)
     failed = ["gradient", "batch"] if "bad-detector" in HOW else []
     told = {"spec": spec, "operating_point": 0.25, "person_class": 0, "parity_scores": 3e-6, "failed": failed}
     if spec.startswith(("openvino:", "tflite:")) or "black-box" in HOW:

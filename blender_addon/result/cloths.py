@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Any picture as a cloth that repeats: a run folder of it, worn as what a training would have left."""
+"""Cloths that were not trained here: any picture, worn as what a training would have left; and an asset library.
+
+The library comes with the extension: materials of ready cloths, on a UV map of their own.
+"""
 
 import shutil
 from pathlib import Path
@@ -9,12 +12,14 @@ import numpy as np
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..blender import colors
 from ..blender.blend_paths import blend_folder, portable
-from ..blender.cloth import load_picture
+from ..blender.cloth import METRES, cloth_of, lay_uv, pixels_at
 from ..blender.faces import active_logo
-from ..blender.mesh_arrays import image_pixels, mean_of_corners
-from ..body.objects import active_body, logo_reason
+from ..blender.marks import READY_CLOTH, layer_name
+from ..blender.mesh_arrays import mean_of_corners, mode_reason
+from ..blender.pictures import read_picture, save_picture
+from ..body.objects import active_body, logo_reason, of_the_body
+from ..body.samples import ASSETS
 from ..exchange.bodies import Bodies
 from ..exchange.cloth import CLOTH_FILE, corner_uv
 from ..exchange.colors import write_colors
@@ -25,9 +30,11 @@ from ..poses.export import Export, export, poses_reason
 from ..poses.poses import PoseChoice
 from ..properties import output_folder
 from ..training import runs
+from ..training.cloths import first_pose
 from ..ui import props
-from ..ui.operator import WITH_UNDO, CloakOperator
+from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
 
+LIBRARY = ASSETS / "library"  # of the built extension
 INWARDS = (0.0, 0.35, 0.7)  # shares of the way from a face's middle to its corners, where its mean colour is taken
 
 
@@ -48,13 +55,8 @@ class CLOAK_OT_cloth_picture(CloakOperator, ImportHelper, label="Picture as Clot
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
         run = runs.new_run(output_folder(context.scene.cloak), obj.name, path.stem)
-        image = load_picture(path)
-        try:
-            pixels = image_pixels(image)[..., :3]
-            pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
-            pixels = colors.linear_to_srgb(np.clip(pixels, 0, 1)) if image.is_float else pixels
-        finally:
-            bpy.data.images.remove(image)
+        pixels = read_picture(path)[..., :3]
+        pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
         done = export(context, obj, logo, PoseChoice(), runs.input_folder(run))
         write_run(run, done, pixels, self.width, obj.cloak.made_from)
         obj.cloak.run = portable(str(run), blend_folder())
@@ -69,7 +71,7 @@ def write_run(run: Path, done: Export, pixels: np.ndarray, metres: float, made_f
     config["settings"] = {"pattern": "tile", "tile_cm": round(100 * metres, 4)}
     config["inputs"] = {"made_from": source} if topology == bodies.topology else {}
     with new_folder(run) as folder:
-        _save(pixels, folder / CLOTH_FILE)
+        save_picture(folder / CLOTH_FILE, pixels)
         write_json(folder / "config.json", config)
         for name in ("logo.npy", "logo.json"):
             shutil.copyfile(done.face_list.with_name(name), folder / name)
@@ -81,11 +83,9 @@ def _means(bodies: Bodies, metres: float, pixels: np.ndarray) -> np.ndarray:
     uv = corner_uv(bodies, metres, metres * pixels.shape[0] / pixels.shape[1])
     counts = np.full(bodies.triangle_count, 3) if bodies.loop_total is None else bodies.loop_total
     middle = np.repeat(mean_of_corners(counts, uv), counts, axis=0)
-    height, width = pixels.shape[:2]
     total = np.zeros((len(counts), 3), np.float32)
     for part in INWARDS:
-        column, row = ((middle + part * (uv - middle)) % 1 * [width, height]).astype(int).T
-        total += mean_of_corners(counts, pixels[np.minimum(row, height - 1), np.minimum(column, width - 1)])
+        total += mean_of_corners(counts, pixels_at(pixels, middle + part * (uv - middle)))
     if bodies.loop_total is None:  # modifiers make other polygons: of the triangles that count as a face
         order = np.argsort(bodies.triangle_face, kind="stable")
         triangles = np.bincount(bodies.triangle_face, minlength=bodies.face_count)
@@ -93,12 +93,48 @@ def _means(bodies: Bodies, metres: float, pixels: np.ndarray) -> np.ndarray:
     return np.clip(total / len(INWARDS), 0, 1)
 
 
-def _save(pixels: np.ndarray, path: Path) -> None:
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new("cloak.cloth", width, height)
-    try:
-        image.pixels.foreach_set(np.concatenate([pixels, np.ones((height, width, 1), np.float32)], -1).ravel())
-        image.filepath_raw, image.file_format = str(path), "PNG"
-        image.save()
-    finally:
-        bpy.data.images.remove(image)
+# --- the asset library ------------------------------------------------------------------------------------------------
+
+
+@of_the_body
+def lay_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why no ready cloth can be laid onto the body."""
+    if ready_cloth(obj) is None:
+        return "Give the body a cloth first: drag one from the Asset Browser, library Cloak, onto it"
+    return mode_reason(obj, "Leave {mode} to lay the cloth")
+
+
+def ready_cloth(obj: bpy.types.Object) -> bpy.types.Material | None:
+    """A material of the library that an object shows, the active one first."""
+    shown = (obj.active_material, *obj.data.materials)
+    return next((material for material in shown if material and METRES in material and cloth_of(material)), None)
+
+
+class CLOAK_OT_lay_cloth(BodyOperator, label="Lay Cloth at True Size", needs=lay_reason):
+    """Make the UV map of the ready cloths, on which they are as large as they are printed: front, back \
+and sides are projected, as the trainer lays a cloth"""
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        material = ready_cloth(obj)
+        image, metres = cloth_of(material), material[METRES]
+        bodies = first_pose(obj, None)
+        lay_uv(obj, READY_CLOTH, corner_uv(bodies, metres, metres * image.size[1] / image.size[0]))
+        for node in material.node_tree.nodes:
+            if node.bl_idname == "ShaderNodeUVMap":
+                node.uv_map = layer_name(obj.data, READY_CLOTH)  # numbered where the user has one of its name
+        return f"'{material.name}' repeats every {metres:g} m on '{obj.name}'"
+
+
+def _ours() -> list[bpy.types.UserAssetLibrary]:
+    return [found for found in bpy.context.preferences.filepaths.asset_libraries if Path(found.path) == LIBRARY]
+
+
+def register() -> None:
+    """The preferences list the library as long as the extension is enabled."""
+    if LIBRARY.is_dir() and not _ours():
+        bpy.context.preferences.filepaths.asset_libraries.new(name="Cloak", directory=str(LIBRARY))
+
+
+def unregister() -> None:
+    for library in _ours():
+        bpy.context.preferences.filepaths.asset_libraries.remove(library)
