@@ -28,7 +28,7 @@ from cloak_core.bench.step import run_bench_step
 from cloak_core.bench.views import machine, run_bench_views
 from cloak_core.core.cameras import Camera
 from cloak_core.core.settings import make_settings
-from cloak_core.core.visibility.compiled import torch_alone
+from cloak_core.core.visibility.compiled import torch_alone, triton_kernels
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
@@ -108,6 +108,13 @@ def _launches(material: Material) -> dict:
     return launches
 
 
+def _kernels(material: Material) -> dict:
+    """The same of views with the two Triton kernels: faster and no bit wrong, they may become the default."""
+    with triton_kernels():
+        wrong, _ = compare_with_cpu()
+        return {"against_cpu": wrong, "views": _views(material), "launches": _launches(material)}
+
+
 def _detectors(material: Material) -> dict:
     return run_bench_detectors(("builtin",), device=DEVICE)
 
@@ -172,6 +179,7 @@ PARTS: dict[str, Part] = {
     "bits": _bits,
     "views": _views,
     "launches": _launches,
+    "kernels": _kernels,
     "detectors": _detectors,
     "step": _step,
     "training": _training,

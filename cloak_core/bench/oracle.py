@@ -59,7 +59,7 @@ def pieces(screen: Screen, triangles: Tensor) -> list[Piece]:
                 corners = tuple(Corner(x[view][v], y[view][v], inverse_depth[view][v]) for v in vertices)
                 result.append(Piece(view, triangle, corners))
                 continue
-            view_space = torch.stack([axis[view, vertices] for axis in screen.view], -1).unsqueeze(-1)
+            view_space = screen.view[view][:, vertices].T.unsqueeze(-1)
             *parts, _ = clip(view_space, screen.focal[view], screen.near[view], screen.width, screen.height)
             for part in zip(*(t.T.tolist() for t in parts), strict=True):
                 result.append(Piece(view, triangle, tuple(Corner(*c) for c in zip(*part, strict=True))))
@@ -152,7 +152,8 @@ def screen_of(
     z = near / row(inverse_depth, torch.float64)
     focal = torch.full((1, 1), float(height), dtype=torch.float64)
     snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)
-    view = ((snapped_x / GRID - width / 2) * z / focal, (height / 2 - snapped_y / GRID) * z / focal, z)
+    rays = (snapped_x / GRID - width / 2) / focal, (height / 2 - snapped_y / GRID) / focal
+    view = torch.stack([rays[0] * z, rays[1] * z, z], 1)
     ends = [int(e) for t in (snapped_x, snapped_y) for e in (torch.aminmax(t) if t.numel() else (0, 0))]
     inverse_depth = row(inverse_depth, torch.float64)
     near_plane = torch.full_like(focal, near)

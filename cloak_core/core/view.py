@@ -23,8 +23,6 @@ from cloak_core.core.visibility.settings import Light
 
 Cull = Bool[Tensor, " B"] | Bool[Tensor, "B T"] | None
 """Views, or triangles of each view, whose back faces are dropped; None: none."""
-Coordinates = tuple[Tensor, Tensor, Tensor]
-"""x, y and z of points, float64, all of one shape."""
 Box = tuple[Number, Number, Number, Number]
 """x0, y0, x1, y1 in pixels, x1 and y1 exclusive."""
 
@@ -59,8 +57,8 @@ class Screen:
 
     width: int
     height: int
-    view: Coordinates
-    """View space coordinates [B, V], metres."""
+    view: Float64[Tensor, "B 3 V"]
+    """View space coordinates, metres."""
     x: Int32[Tensor, "B V"]
     y: Int32[Tensor, "B V"]
     inverse_depth: Float64[Tensor, "B V"]

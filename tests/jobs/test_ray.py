@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,12 @@ from cloak_core.jobs.job import Job
 from cloak_core.jobs.ray_cluster import RayCluster
 from cloak_core.jobs.ray_keeper import processes_of
 from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs import fits
+from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.grids import read_grid
 from cloak_core.studies.sweeps import Sweep
-from tests.jobs.work import refuse
+from tests.jobs.work import fit_and_note, refuse
+from tests.sources.photographs.made_people import write_people
 
 pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2]
@@ -106,6 +110,32 @@ def test_a_node_dies_and_the_colours_are_those_of_one_process(tmp_path, cluster)
         assert np.array_equal(*(read_colors(folder / "colors.npy") for folder in folders))
     resumed = [e for path in (tmp_path / "there").glob("runs/*/events.jsonl") for e in read_events(path)]
     assert any(event["type"] == "resume" for event in resumed)
+
+
+def test_people_are_fitted_to_the_same_bits_when_a_node_dies(tmp_path, cluster, monkeypatch):
+    """What had come back is not fitted again."""
+    monkeypatch.setattr(fits, "TOGETHER", 1)
+    cluster, nodes = cluster
+    people = load_people(write_people(tmp_path / "people", 4))
+    expected = [fit.identity for fit in fits.fit_people(people)]
+    (tmp_path / "noted").mkdir()
+    heard, kept = [], []
+
+    class Noting(RayCluster):
+        def run(self, jobs):
+            noted = {"folder": str(tmp_path / "noted")}
+            yield from super().run([replace(j, work=fit_and_note, arguments=j.arguments | noted) for j in jobs])
+
+    def lose_a_node(done, _all):
+        heard.append(done)
+        if done == 1:
+            kept.extend(path.name for path in (tmp_path / "noted").iterdir())
+            cluster.remove_node(nodes[0], allow_graceful=False)
+
+    fitted = fits.fit_people(people, lose_a_node, Noting(cluster.address))
+    assert [fit.identity for fit in fitted] == expected
+    assert heard == [0, 1, 2, 3, 4] and len(cluster.list_all_nodes()) == 2
+    assert kept and (tmp_path / "noted" / kept[0]).read_text() == "x"
 
 
 def test_outcomes_errors_and_what_no_machine_has(cluster):

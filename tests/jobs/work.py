@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
+from cloak_core.sources.photographs.fits import fit_some
 
 
 def refuse(number: int) -> int:
@@ -20,6 +21,15 @@ def die_once(folder: Path, number: int) -> int:
     if number == 1 and (folder / "1").stat().st_size == 1:
         os._exit(9)
     return number
+
+
+def fit_and_note(people: list, folder: str) -> list[bytes]:
+    """Fit people, and count in a file of each how often."""
+    packed = fit_some(people)
+    for person in people:
+        with open(Path(folder, person.photograph), "a") as file:
+            file.write("x")
+    return packed
 
 
 def break_down() -> float:

@@ -1,6 +1,7 @@
 """The stages of rendering as one typed protocol, and the choice of its implementation by device.
 
 Each stage has a numba and a torch implementation, in files of equal names: cpu/ for the CPU, torch/ for any device.
+Two have a Triton kernel, too, in fused/: CLOAK_TRITON=1 switches them on, until they are measured on a device.
 Both give the same face ids, bit for bit, and the same weights within 1e-6; tests compare them (`compiled.torch_alone`).
 """
 
@@ -19,7 +20,7 @@ from cloak_core.core.cameras import Vector
 from cloak_core.core.cloth import Cloth
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.view import BakedView, FlatTriangles, Fragments, Screen, Surface, View, Window
-from cloak_core.core.visibility.compiled import use_loops
+from cloak_core.core.visibility.compiled import use_kernels, use_loops
 
 
 @runtime_checkable
@@ -106,11 +107,13 @@ class Backend(Protocol):
 
 
 def backend(device: torch.device) -> Backend:
-    """Choose the implementation for a device: numba on the CPU where there is numba, else torch."""
-    return _loaded("cpu" if use_loops(device) else "torch")
+    """Choose the implementation for a device: numba on the CPU where there is numba, else torch or Triton."""
+    if use_loops(device):
+        return _loaded("cpu")
+    return _loaded("fused" if use_kernels(device) else "torch")
 
 
 @cache
 def _loaded(name: str) -> Backend:
-    # By name, as each device needs one of the two.
+    # By name, as each device needs one of them.
     return cast(Backend, importlib.import_module(f"{__package__}.{name}"))

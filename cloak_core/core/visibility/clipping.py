@@ -39,7 +39,7 @@ def clip(
     fan, owner = (part < size - 1).nonzero(as_tuple=True)
     fan = fan + 1
     pieces = torch.stack([polygon[corner, :, owner] for corner in (torch.zeros_like(fan), fan, fan + 1)])
-    x, y = snap(pieces.unbind(-1), focal[owner], near[owner], width, height)
+    x, y = snap(pieces.transpose(1, 2), focal[owner], near[owner], width, height).unbind(1)
     return x, y, near[owner] / pieces[..., 2], owner
 
 
@@ -54,10 +54,10 @@ def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int, cull: Cu
     if screen.in_guard_band is None:
         return FlatTriangles(x, y, inverse_depth, triangles, ids, one_sided)
     whole = screen.in_guard_band[view][triangles].all(0)
-    ahead = (screen.view[2][view] >= screen.near[view])[triangles].any(0)
+    ahead = (screen.view[view, 2] >= screen.near[view])[triangles].any(0)
     # Only triangles that cross a plane are clipped: those of most views are none.
     crossing = (ahead & ~whole).nonzero().view(-1)
-    corners = torch.stack([axis[view][triangles[:, crossing]] for axis in screen.view], 1)
+    corners = screen.view[view][:, triangles[:, crossing]].transpose(0, 1)
     focal, near = (t[view].expand(len(crossing)) for t in (screen.focal, screen.near))
     *parts, owner = clip(corners, focal, near, screen.width, screen.height)
     corner = torch.arange(len(x), len(x) + 3 * len(owner), device=x.device).view(3, -1)

@@ -8,14 +8,18 @@ and give the same result as the torch operations in torch/, which other devices 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import inspect
 import logging
+import os
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import torch
+
+from cloak_core.files.errors import InputError
 
 try:
     import numba
@@ -82,11 +86,36 @@ if numba is not None:
 
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 _switched_off = False
+_kernels = os.environ.get("CLOAK_TRITON") == "1"
 
 
 def use_loops(device: torch.device) -> bool:
     """Tell whether work on this device is done by loops."""
     return numba is not None and device.type == "cpu" and not _switched_off
+
+
+def use_kernels(device: torch.device) -> bool:
+    """Tell whether Triton kernels do work that loops do not: where CLOAK_TRITON=1 asks for them.
+
+    Raises `InputError` where there is no Triton.
+    """
+    if not _kernels or use_loops(device):
+        return False
+    if importlib.util.find_spec("triton") is None:
+        raise InputError("CLOAK_TRITON=1: no package 'triton' is installed")
+    return True
+
+
+@contextlib.contextmanager
+def triton_kernels() -> Iterator[None]:
+    """Within, in all threads, Triton kernels do what loops do not."""
+    global _kernels
+    before = _kernels
+    _kernels = True
+    try:
+        yield
+    finally:
+        _kernels = before
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from cloak_core.core.cameras import Camera, Vector
+from cloak_core.core.cameras import Camera, Number, Vector
 from cloak_core.core.view import Screen
 from cloak_core.core.visibility.screen import GUARD, integers, rounded
 from cloak_core.files.errors import InputError
@@ -24,36 +24,38 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
     if any((camera.width, camera.height) != (width, height) for camera in cameras):
         raise ValueError("the cameras of one batch must share one image size")
     rows = [
-        (*camera.position(pivot), *camera.axes[0], *camera.axes[1], *camera.axes[2], camera.focal, camera.near_plane)
+        (*camera.position(pivot), *_axes(camera), camera.focal, camera.near_plane)
         for camera, pivot in zip(cameras, pivots, strict=True)
     ]
     if not vertices.shape[2]:
         nothing = vertices.new_zeros(len(rows), 0)
         scale = vertices.new_ones(len(rows), 1)
         whole = nothing.to(torch.int32)
-        return Screen(width, height, (nothing,) * 3, whole, whole, nothing, None, (0, 0, 0, 0), scale, scale)
-    values = torch.tensor(rows, dtype=torch.float64).T.unsqueeze(-1).to(vertices.device).unbind(0)
-    position, right, up, back = (values[i : i + 3] for i in range(0, 12, 3))
-    focal, near = values[12:]
-    x, y, z = (axis - p for axis, p in zip(vertices.unbind(1), position, strict=True))
-    # Cameras on an orbit never roll: `right` has no y.
-    view = (x * right[0] + z * right[2], _dot(x, y, z, up), -_dot(x, y, z, back))
-    screen_x, screen_y = rounded(view, focal, near, width, height)
-    extremes = torch.stack([*torch.aminmax(screen_x), *torch.aminmax(screen_y), (view[2] - near).amin()]).tolist()
+        return Screen(width, height, vertices, whole, whole, nothing, None, (0, 0, 0, 0), scale, scale)
+    values = torch.tensor(rows, dtype=torch.float64).to(vertices.device).unsqueeze(-1)
+    position, axes, focal, near = values[:, :3], values[:, 3:12].unflatten(1, (3, 3)), values[:, 12:13], values[:, 13:]
+    x, y, z = (vertices - position).split(1, 1)
+    view = (x * axes[:, 0]).add_(y * axes[:, 1]).add_(z * axes[:, 2])
+    depth = view[:, 2]
+    screen = rounded(view, focal, near, width, height)
+    low, high = torch.aminmax(screen, dim=-1)
+    focal, near = focal[:, 0], near[:, 0]
+    extremes = torch.cat([low.amin(0), high.amax(0), (depth - near).amin().view(1)]).tolist()
     if not all(math.isfinite(value) for value in extremes):
         raise _not_finite(vertices)
-    *edges, front = extremes
+    x0, y0, x1, y1, front = extremes
     inside = None
-    if front < 0 or max(map(abs, edges)) > GUARD / 2:
-        inside = (view[2] >= near) & (torch.maximum(screen_x.abs(), screen_y.abs()) <= GUARD / 2)
-    bounds = tuple(int(min(max(value, -GUARD), GUARD)) for value in edges)
-    inverse_depth = near / view[2].clamp(min=near)
-    x, y = integers(screen_x), integers(screen_y)
-    return Screen(width, height, view, x, y, inverse_depth, inside, bounds, focal, near)
+    if front < 0 or max(map(abs, extremes[:4])) > GUARD / 2:
+        inside = (depth >= near) & (screen.abs().amax(1) <= GUARD / 2)
+    bounds = tuple(int(min(max(value, -GUARD), GUARD)) for value in (x0, x1, y0, y1))
+    x, y = integers(screen).unbind(1)
+    return Screen(width, height, view, x, y, near / depth.clamp(min=near), inside, bounds, focal, near)
 
 
-def _dot(x: Tensor, y: Tensor, z: Tensor, axis: Sequence[Tensor]) -> Tensor:
-    return (x * axis[0]).add_(y * axis[1]).add_(z * axis[2])
+def _axes(camera: Camera) -> tuple[Number, ...]:
+    """List the x of the camera's axes right, up and forward in the world, then their y, then their z."""
+    right, up, back = camera.axes
+    return tuple(value for r, u, b in zip(right, up, back, strict=True) for value in (r, u, -b))
 
 
 def _not_finite(vertices: Float64[Tensor, "B 3 V"]) -> InputError:

@@ -7,11 +7,11 @@ a fixed order: every device and every batch computes the same bits.
 
 from __future__ import annotations
 
-import torch
-from jaxtyping import Int32
-from torch import Tensor
+from functools import cache
 
-from cloak_core.core.view import Coordinates
+import torch
+from jaxtyping import Float64, Int32
+from torch import Tensor
 
 GRID = 1 << 16
 """Snapping grid: positions per pixel, along each axis."""
@@ -19,17 +19,30 @@ GUARD = 8192 * GRID
 """Guard band: snapped coordinates stay within [-GUARD, GUARD], so that edge functions fit into int64."""
 
 
-def snap(view: Coordinates, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Snap points in view space, before the near plane and in the guard band, to the screen: x and y, int32."""
-    x, y = rounded(view, focal, near, width, height)
-    return integers(x), integers(y)
+def snap(
+    view: Float64[Tensor, "*B 3 N"], focal: Tensor, near: Tensor, width: int, height: int
+) -> Int32[Tensor, "*B 2 N"]:
+    """Snap points in view space, before the near plane and in the guard band, to the screen."""
+    return integers(rounded(view, focal, near, width, height))
 
 
-def rounded(view: Coordinates, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Project points to whole numbers of grid units, float64, unbounded."""
-    scale = focal * GRID / view[2].clamp(min=near)
-    x = (view[0] * scale).add_(width * (GRID // 2)).round_()
-    return x, (height * (GRID // 2) - view[1] * scale).round_()
+def rounded(
+    view: Float64[Tensor, "*B 3 N"], focal: Tensor, near: Tensor, width: int, height: int
+) -> Float64[Tensor, "*B 2 N"]:
+    """Project points to whole numbers of grid units, unbounded; focal and near are of each point or of all."""
+    middle, direction = _frame(width, height, view.device)
+    scale = focal * GRID / view[..., 2:, :].clamp(min=near)
+    return torch.addcmul(middle, direction, view[..., :2, :] * scale).round_()  # the factor is 1 or -1: one rounding
+
+
+@cache
+def _frame(width: int, height: int, device: torch.device) -> tuple[Float64[Tensor, "2 1"], Float64[Tensor, "2 1"]]:
+    """Return the image's middle in grid units, and which way each axis of the view runs on the screen.
+
+    Kept: a copy to a device waits for it.
+    """
+    middle = torch.tensor([[width], [height]], dtype=torch.float64) * (GRID // 2)
+    return middle.to(device), torch.tensor([[1.0], [-1.0]], dtype=torch.float64).to(device)
 
 
 def integers(position: Tensor) -> Int32[Tensor, ...]:

@@ -168,7 +168,7 @@ class ViewCache:
         """
         cull = torch.from_numpy(self._outward[[pose for pose, _ in keys]])
         if screen.in_guard_band is not None:
-            cull &= (screen.view[2] >= screen.near).all(1, keepdim=True).cpu()
+            cull &= (screen.view[:, 2] >= screen.near).all(1, keepdim=True).cpu()
         return cull
 
     def _load_poses(self, keys: Sequence[Key]) -> None:

@@ -56,8 +56,11 @@ class People:
         names = self.photographs
         if len(names) < 2:
             raise InputError(f"{self.name}: one photograph cannot be both trained on and unseen")
-        part = lambda start: tuple(person for person in self.people if person.photograph in names[start::2])
-        return replace(self, people=part(0)), replace(self, people=part(1))
+        first = frozenset(names[::2])
+        parts = ([], [])
+        for person in self.people:
+            parts[person.photograph not in first].append(person)
+        return tuple(replace(self, people=tuple(part)) for part in parts)
 
 
 def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None) -> People:

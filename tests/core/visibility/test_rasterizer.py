@@ -189,7 +189,7 @@ def test_near_plane_coverage_is_that_of_the_rays() -> None:
     camera = Camera(distance=2.0, elevation=0.0, width=40, height=30, near=0.25)
     screen = project(vertices.unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
     ours = rasterize(screen, triangles_of([[0, 1, 2]])).triangles()[0, :, :, 0] == 0
-    a, b, c = torch.stack(screen.view)[:, 0].T
+    a, b, c = screen.view[0].T
     x = (torch.arange(40) + 0.5 - 20) / camera.focal
     y = (15 - torch.arange(30) - 0.5) / camera.focal
     ray = torch.stack(torch.broadcast_tensors(x[None], y[:, None], torch.ones(1, 1)), -1).to(torch.float64)

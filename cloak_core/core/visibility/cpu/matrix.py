@@ -21,7 +21,7 @@ def build_view(
     light_position: Float32[Tensor, " 3"],
 ) -> View:
     """See `Backend.build_view`."""
-    space = np.stack([axis[0].numpy() for axis in screen.view])
+    space = screen.view[0].numpy()
     camera = float(screen.focal), screen.width / 2, screen.height / 2
     columns = arrays(fragments.pixel, fragments.triangle, fragments.area, fragments.x, fragments.y)
     corner, face_of, normal, position = arrays(surface.triangles, surface.face, normals, light_position)

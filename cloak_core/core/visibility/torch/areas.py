@@ -52,7 +52,8 @@ class Parts:
 def visible_parts(flat: FlatTriangles, window: Window, width: int) -> Iterator[Parts]:
     """Cut out what is visible in a window of an image `width` pixels wide, from top to bottom."""
     triangles = canonical(flat)
-    box = torch.stack([*_touched(triangles.x, window.x0, window.x1), *_touched(triangles.y, window.y0, window.y1)])
+    x, y = triangles.corners
+    box = torch.stack([*_touched(x, window.x0, window.x1), *_touched(y, window.y0, window.y1)])
     some = (torch.minimum(box[1] - box[0], box[3] - box[2]) >= 0).nonzero().view(-1)
     triangles = triangles.take(some)
     box = box.index_select(1, some)

@@ -17,7 +17,6 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
-from cloak_core.core.visibility.screen import GRID
 from cloak_core.core.visibility.torch.pieces import NOTHING, Pieces, from_corner
 from cloak_core.core.visibility.torch.polygons import Line, distances, inner_part, join, measure
 from cloak_core.core.visibility.torch.triangles import Triangles, expand
@@ -70,8 +69,8 @@ def cut_hidden(
 
 def _lines(pieces: Pieces, triangles: Triangles, width: int) -> list[Line]:
     """Compute the three edges of each piece's triangle, from the pixel's corner."""
-    left, top = pieces.place % width * GRID, torch.div(pieces.place, width, rounding_mode="floor") * GRID
-    corners = from_corner(triangles, pieces.owner, left, top)
+    pixel = torch.stack([pieces.place % width, torch.div(pieces.place, width, rounding_mode="floor")])
+    corners = from_corner(triangles, pieces.owner, pixel)
     lines = []
     for (x0, y0), (x1, y1) in ((corners[0], corners[1]), (corners[1], corners[2]), (corners[2], corners[0])):
         dx, dy = x1 - x0, y1 - y0

@@ -19,12 +19,23 @@ def build_view(
     light_position: Float32[Tensor, " 3"],
 ) -> View:
     """See `Backend.build_view`."""
-    weight, highlight, uv, cloth = light_fragments(fragments, screen, surface, normals, light_position)
+    return assemble(fragments, screen, surface, *light_fragments(fragments, screen, surface, normals, light_position))
+
+
+def assemble(
+    fragments: Fragments,
+    screen: Screen,
+    surface: Surface,
+    weight: Float32[Tensor, " N"],
+    highlight: Float32[Tensor, " N"],
+    uv: Float32[Tensor, "2 N"] | None,
+    cloth: Float32[Tensor, "4 N"] | None,
+) -> View:
+    """Sum lit fragments up to a view: a row of the matrix for each pixel."""
     face = surface.face.index_select(0, fragments.triangle)
     pixels, row = torch.unique_consecutive(fragments.pixel, return_inverse=True)
-    coverage, specular = (
-        torch.zeros(len(pixels), device=row.device).index_add_(0, row, t) for t in (fragments.area, highlight)
-    )
+    lit = torch.stack([fragments.area, highlight])
+    coverage, specular = torch.zeros(2, len(pixels), device=row.device).index_add_(1, row, lit)
     if surface.by_face:
         row, face, weight = _merge_faces(row, face, weight)
     entries = SparseMap(offsets(row, len(pixels)), face, weight, surface.face_count)

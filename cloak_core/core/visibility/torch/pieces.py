@@ -10,7 +10,7 @@ from torch import Tensor
 
 from cloak_core.core.visibility.screen import GRID
 from cloak_core.core.visibility.torch.polygons import inner_part, join, measure
-from cloak_core.core.visibility.torch.triangles import Triangles, expand
+from cloak_core.core.visibility.torch.triangles import Triangles, expand_boxes
 
 NOTHING = 1e-9
 """Share of a pixel below which a piece is dropped."""
@@ -56,38 +56,33 @@ def find_pieces(triangles: Triangles, box: Int64[Tensor, "4 N"], top: int, botto
     first, last = r0.clamp(min=top), r1.clamp(max=bottom - 1)
     pieces = None
     front = torch.full(((bottom - top) * width,), -torch.inf, dtype=torch.float64, device=box.device)
-    for owner, down in expand((last - first + 1).clamp(min=0)):
-        for pair, across in expand((c1 - c0 + 1).index_select(0, owner)):
-            own = owner.index_select(0, pair)
-            column, row = c0.index_select(0, own) + across, (first.index_select(0, own) + down.index_select(0, pair))
-            new = _cut_to_pixels(triangles, own, column, row, width)
-            full = torch.where(measure(new.shape)[0] > 1 - 1e-12, new.depth_range()[0], -torch.inf)
-            front.scatter_reduce_(0, new.place - top * width, full, "amax")
-            pieces = new if pieces is None else pieces.join(new)
-            ahead = pieces.depth_range()[1] + _MARGIN >= front.index_select(0, pieces.place - top * width)
-            pieces = pieces.take(ahead.nonzero().view(-1))
+    size = torch.stack([c1 - c0 + 1, (last - first + 1).clamp(min=0)])
+    for own, pixel in expand_boxes(torch.stack([c0, first]), size):
+        new = _cut_to_pixels(triangles, own, pixel, width)
+        full = torch.where(measure(new.shape)[0] > 1 - 1e-12, new.depth_range()[0], -torch.inf)
+        front.scatter_reduce_(0, new.place - top * width, full, "amax")
+        pieces = new if pieces is None else pieces.join(new)
+        ahead = pieces.depth_range()[1] + _MARGIN >= front.index_select(0, pieces.place - top * width)
+        pieces = pieces.take(ahead.nonzero().view(-1))
     return pieces
 
 
-def _cut_to_pixels(triangles: Triangles, own: Tensor, column: Tensor, row: Tensor, width: int) -> Pieces:
+def _cut_to_pixels(triangles: Triangles, own: Tensor, pixel: Int64[Tensor, "xy=2 P"], width: int) -> Pieces:
     """Cut triangles to pixels; pieces without area are left out."""
-    left, top = column * GRID, row * GRID
-    shape = from_corner(triangles, own, left, top)
+    shape = from_corner(triangles, own, pixel)
+    column, row = pixel
     one, zero = torch.ones_like(shape[0, 0]), torch.zeros_like(shape[0, 0])
     for side in ((one, zero, zero), (-one, zero, one), (zero, one, zero), (zero, -one, one)):
         shape = inner_part(shape, side)
     start, right, down = (
-        torch.round(triangles.inverse_depth_at(own, left + i * GRID, top + j * GRID) * DEPTH_STEPS)
-        for i, j in ((0, 0), (1, 0), (0, 1))
+        torch.round(triangles.inverse_depth_at(own, *triangles.edges(own, place * GRID)) * DEPTH_STEPS)
+        for place in (pixel, torch.stack([column + 1, row]), torch.stack([column, row + 1]))
     )
     pieces = Pieces(row * width + column, own, shape, torch.stack([start, right - start, down - start]))
     return pieces.take((measure(shape)[0] > NOTHING).nonzero().view(-1))
 
 
-def from_corner(triangles: Triangles, own: Tensor, left: Tensor, top: Tensor) -> Float64[Tensor, "3 2 P"]:
-    """Triangles' corners in pixels, from the corner of a pixel (grid units)."""
-
-    def pixels(coordinate: Tensor, origin: Tensor) -> Tensor:
-        return (coordinate.index_select(1, own) - origin).to(torch.float64) / GRID
-
-    return torch.stack([pixels(triangles.x, left), pixels(triangles.y, top)], 1)
+def from_corner(triangles: Triangles, own: Tensor, pixel: Int64[Tensor, "xy=2 P"]) -> Float64[Tensor, "3 2 P"]:
+    """Compute triangles' corners in pixels, from the corner of a pixel."""
+    corners = triangles.corners.index_select(2, own) - (pixel * GRID).unsqueeze(1)
+    return (corners.to(torch.float64) / GRID).transpose(0, 1)

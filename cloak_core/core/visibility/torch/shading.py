@@ -23,19 +23,16 @@ def light_fragments(
     Worked out in float64."""
     corner = surface.triangles.index_select(1, fragments.triangle)
     position, weights, crosses, total = _surface_points(fragments, screen, corner)
-    w0, w1, w2 = weights
-    n0, n1, n2 = (normals.double().index_select(1, corner[i]) for i in range(3))
-    weight, highlight = shade(
-        position, n0 * w0 + n1 * w1 + n2 * w2, light_position.double().unsqueeze(1), surface.light
-    )
+    normal = (_at_corners(normals, corner) * weights).sum(1)
+    weight, highlight = shade(position, normal, light_position.double().unsqueeze(1), surface.light)
     uv = cloth = None
     if surface.corner_uv is not None:
-        uv = texture_coordinates(surface.corner_uv.index_select(2, fragments.triangle), w1.float(), w2.float())
+        uv = texture_coordinates(surface.corner_uv.index_select(2, fragments.triangle), *weights[1:].float())
     if surface.corner_cloth is not None:
         corners = surface.corner_cloth.index_select(2, fragments.triangle)
         side = fragments.area.double().sqrt() / screen.focal[0]
         extent = _extents(corners.double(), weights, crosses, total, side).float()
-        cloth = torch.cat([texture_coordinates(corners, w1.float(), w2.float(), inset=0.0), extent])
+        cloth = torch.cat([texture_coordinates(corners, *weights[1:].float(), inset=0.0), extent])
     return (weight * fragments.area).float(), (highlight * fragments.area).float(), uv, cloth
 
 
@@ -62,18 +59,23 @@ def _surface_points(
 
     Works on unsnapped view space, so that it holds for triangles that reach behind the camera, too.
     """
-    a, b, c = (torch.stack([axis[0].index_select(0, corner[i]) for axis in screen.view]) for i in range(3))
+    space = _at_corners(screen.view[0], corner)
     focal = screen.focal[0]
-    dx, dy = (fragments.x - screen.width / 2) / focal, (screen.height / 2 - fragments.y) / focal
-    ray = torch.stack([dx, dy, torch.ones_like(dx)])
+    across, up = fragments.x - screen.width / 2, screen.height / 2 - fragments.y
+    ray = torch.stack([across, up, focal.expand_as(up)]) / focal
     # d . (b x c) and so on, proportional to the perspective-correct weights of the corners.
-    crosses = torch.stack([torch.linalg.cross(p, q, dim=0) for p, q in ((b, c), (c, a), (a, b))])
+    crosses = torch.linalg.cross(space.roll(-1, 1), space.roll(-2, 1), dim=0).transpose(0, 1)
     weights = (ray * crosses).sum(1)
     total = weights.sum(0)
     # A triangle seen exactly edge-on has no such point; its first corner stands in.
     weights = weights / total.masked_fill(total == 0, torch.inf)
     weights[0] = 1 - weights[1] - weights[2]
-    return ray * (weights * torch.stack([a[2], b[2], c[2]])).sum(0), weights, crosses, total
+    return ray * (weights * space[2]).sum(0), weights, crosses, total
+
+
+def _at_corners(values: Float[Tensor, "3 V"], corner: Int64[Tensor, "3 N"]) -> Float64[Tensor, "xyz=3 corner=3 N"]:
+    """Gather vectors of the vertices at the corners of triangles."""
+    return values.index_select(1, corner.view(-1)).view(3, *corner.shape).double()
 
 
 def shade(
@@ -83,13 +85,10 @@ def shade(
 
     normals need not have unit length. Never NaN: a vector of no length counts as facing nowhere.
     """
-    normal, toward, away = _unit(normals), _unit(light_position - points), _unit(points)
-    cosine = (normal * toward).sum(0)
+    vectors = torch.stack([normals, light_position - points, points])
+    vectors = vectors / torch.linalg.vector_norm(vectors, dim=1, keepdim=True).clamp(min=1e-20)
+    cosine, across, back = (vectors * vectors.roll(-1, 0)).sum(1)  # normal . light, light . point, point . normal
     # v.r with r = 2 (n.l) n - l, for the negated v.
-    reflected = (toward * away).sum(0) - 2 * cosine * (normal * away).sum(0)
-    power = torch.where(cosine > 0, reflected.clamp(min=0), 0).pow(light.shininess)
+    reflected = across - 2 * cosine * back
+    power = reflected.clamp(min=0).pow(light.shininess)
     return light.ambient + light.diffuse * cosine.clamp(min=0), light.specular * power * (cosine > 0)
-
-
-def _unit(vector: Float[Tensor, "3 N"]) -> Float[Tensor, "3 N"]:
-    return vector / torch.linalg.vector_norm(vector, dim=0).clamp(min=1e-20)

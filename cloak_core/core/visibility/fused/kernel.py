@@ -1,0 +1,14 @@
+"""Compile Triton kernels."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+
+import triton
+
+
+def kernel(*numbers: str) -> Callable[[Callable], object]:
+    """Decorate a kernel, or a function of one; it is not compiled anew for other values of these numbers."""
+    # Under pytest, functions come wrapped in a check of types, which cannot be compiled.
+    return lambda function: triton.jit(inspect.unwrap(function), do_not_specialize=numbers)

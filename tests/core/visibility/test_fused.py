@@ -1,0 +1,122 @@
+"""Triton kernels against the torch operations that they stand for: interpreted on the CPU, and compiled for a card."""
+
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from bodies_made import sphere
+from torch.utils._python_dispatch import _disable_current_modes
+
+from cloak_core.bench.gpu import Operations
+from cloak_core.bench.oracle import screen_of
+from cloak_core.core.cameras import Camera
+from cloak_core.core.view import View
+from cloak_core.core.visibility.compiled import torch_alone, triton_kernels
+from cloak_core.core.visibility.rasterizer import rasterize
+from cloak_core.core.visibility.screen import GRID, GUARD
+from cloak_core.core.visibility.settings import Light, RenderSettings
+from cloak_core.sources.bodies.view_cache import ViewCache
+
+pytest.importorskip("triton")
+pytestmark = pytest.mark.slow
+CAMERA = Camera(distance=2.6, width=11, height=9)
+MOST_OPERATIONS = 60
+
+
+@pytest.fixture(autouse=True)
+def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TRITON_INTERPRET", "1")
+
+
+@pytest.mark.parametrize("extent", [0, 3 * GRID, GUARD // 2])
+@pytest.mark.parametrize("grid", [1, 2])
+def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
+    rng = np.random.default_rng(extent + grid)
+    x, y = (rng.integers(-extent, size * GRID + extent, 30) for size in (7, 5))
+    x[::3], y[::3] = x[::3] // (GRID // 2) * (GRID // 2), y[::3] // (GRID // 2) * (GRID // 2)
+    screen = screen_of(x, y, rng.uniform(0.1, 1, 30), 7, 5)
+    triangles = torch.from_numpy(rng.integers(0, 30, (3, 40)))
+    cull = torch.from_numpy(rng.random((1, 40)) < 0.5)
+    with torch_alone():
+        plain = rasterize(screen, triangles, grid, cull)
+        with triton_kernels():
+            fused = rasterize(screen, triangles, grid, cull)
+    assert torch.equal(fused.packed, plain.packed)
+    assert len(plain.packed.unique()) > 3
+
+
+def built(light: Light, camera: Camera) -> View:
+    return ViewCache(sphere(4, 6), RenderSettings(light=light, samples=1)).build([(0, camera)])[0]
+
+
+@pytest.mark.parametrize("shininess", [0.0, 7.0])
+def test_light_is_the_same(shininess: float) -> None:
+    light = Light(ambient=0.4, diffuse=0.5, specular=0.6, shininess=shininess, position=(2.0, 1.0, 3.0))
+    with torch_alone():
+        plain = built(light, CAMERA)
+        with triton_kernels():
+            fused = built(light, CAMERA)
+    assert len(plain.map) > 5 and plain.specular.max() > 0.1
+    assert torch.equal(fused.map.column, plain.map.column)
+    torch.testing.assert_close(fused.map.weight, plain.map.weight, rtol=0, atol=1e-6)
+    torch.testing.assert_close(fused.specular, plain.specular, rtol=0, atol=1e-6)
+
+
+def test_a_new_view_is_few_operations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Operations of torch, and kernels, whose interpreter's own operations are not counted."""
+    from cloak_core.core.visibility.fused import sampling, shading
+
+    launches = []
+
+    def counted(module: object, name: str) -> None:
+        kernel = getattr(module, name)
+
+        def launch(grid: tuple, *arguments: object, **options: object) -> None:
+            launches.append(name)
+            with _disable_current_modes():
+                kernel[grid](*arguments, **options)
+
+        starter = type("Counted", (), {"__getitem__": lambda self, grid: lambda *a, **o: launch(grid, *a, **o)})
+        monkeypatch.setattr(module, name, starter())
+
+    counted(sampling, "draw")
+    counted(shading, "light_all")
+    with torch_alone(), triton_kernels():
+        cache = ViewCache(sphere(4, 6), RenderSettings(samples=1))
+        cache.build([(0, CAMERA)])
+        launches.clear()
+        with Operations() as operations:
+            cache.build([(0, Camera(distance=2.6, width=11, height=9, azimuth=20.0))])
+    assert launches == ["draw", "light_all"]
+    assert 20 < sum(operations.counts.values()) + len(launches) < MOST_OPERATIONS
+
+
+COMPILE = """
+from triton.backends.compiler import GPUTarget
+from triton.compiler import ASTSource, compile
+from cloak_core.core.visibility.fused import sampling, shading
+
+def compiled(kernel, types, constants, **options):
+    names = [parameter.name for parameter in kernel.params]
+    signature = dict(zip(names, types.split())) | dict.fromkeys(constants, "constexpr")
+    source = ASTSource(kernel, signature, constexprs={(names.index(n),): v for n, v in constants.items()})
+    return compile(source, target=GPUTarget("cuda", 80, 32), options=options).asm["ptx"]
+
+drawn = "*i64 *i32 *i32 *fp64 *i64 *i64 *i1" + 6 * " i32"
+constants = {"DEPTH_BITS": 39, "ID_BITS": 24, "BLOCK": 64}
+print(compiled(sampling.draw, drawn, constants, **sampling.OPTIONS))
+lit = "*fp32 *i64 *fp32 *fp64 *fp64 *i64 *fp64 *fp32 *fp32 *fp64" + 3 * " i32" + 6 * " fp32"
+compiled(shading.light_all, lit, {"BLOCK": 128})
+"""
+
+
+def test_kernels_compile_for_a_card_and_round_every_operation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a card: down to its machine code. Depth has a sum of two products, which no instruction may fuse."""
+    monkeypatch.delenv("TRITON_INTERPRET")
+    done = subprocess.run([sys.executable, "-c", COMPILE], capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    assert re.search(r"mul\S*\.f64", done.stdout) and re.search(r"atom\S*min\.s64", done.stdout)
+    assert not re.search(r"fma\S*\.f64", done.stdout)
