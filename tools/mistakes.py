@@ -69,10 +69,7 @@ READS = {
     "bench stability": "",
     "bench step": "--detector {}",
     "bench gpu": "",
-    "bench ranks": "--logo {}",
-    "bench jobs": "",
     "bench intervals": "",
-    "bench printing": "",
     "bench detectors": "--detector {}",
 }
 """Options with which each command reads a file; "" for those that read none."""

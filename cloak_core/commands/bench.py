@@ -136,74 +136,6 @@ def _fits(people: str | None, images: Path | None) -> Sequence[Fit]:
 
 
 @dataclass(kw_only=True)
-class Ranks(Bench):
-    """Time training in several processes (torchrun) beside one.
-
-    Both have the same number of threads together.
-    """
-
-    example = "--logo chest.npy"
-
-    detector: str = "builtin"
-    """What is trained against."""
-    scene: str = "sample:train"
-    """Scene folder, .npz, or sample[:train]."""
-    logo: Path
-    """Face list of that scene."""
-    backgrounds: str = "procedural:train:64"
-    """Folder of images, or procedural[:train]."""
-    batch: int = 8
-    """Images per update, over all processes."""
-    ranks: int = 2
-    """Processes."""
-    threads: int = 2
-    """Threads of torch, over all processes."""
-    steps: int = 45
-    """Updates a training; the first third is not counted."""
-    rounds: int = 3
-    """How often one and several take turns."""
-
-    def run(self) -> dict:
-        from cloak_core.bench.step import run_bench_ranks
-
-        return run_bench_ranks(self.detector, **self.given("detector"))
-
-
-@dataclass(kw_only=True)
-class Jobs(Command):
-    """Time what it costs to hand out work, and plan many trainings by it."""
-
-    example = "--train-seconds 150"
-
-    count: int = 200
-    """Jobs that do nothing, behind each figure."""
-    train_seconds: float
-    """What a training takes on one core (its cost.json, or cloak transfer's table)."""
-    evaluate_seconds: float = 60.0
-    """What its evaluation takes on one core."""
-    megabytes: float = 13.0
-    """What a run folder with its evaluation holds."""
-    files: int = 30
-    """So many files are in it."""
-    ray: bool = True
-    """Also on a Ray cluster of this machine (extra ray)."""
-
-    def run(self) -> dict:
-        from cloak_core.bench.jobs import run_bench_jobs
-
-        return run_bench_jobs(**self.given())
-
-    def show(self, result: dict) -> None:
-        from cloak_core.bench.jobs import jobs_table
-
-        by_ray = "" if result["ray_ms"] is None else f", {result['ray_ms']:.2f} ms by Ray"
-        out.print(f"a job that does nothing: {result['in_order_ms']:.3f} ms in order{by_ray}")
-        out.print(f"its result, written and read: {result['results_ms']:.3f} ms")
-        for line in jobs_table(result):
-            out.print(line)
-
-
-@dataclass(kw_only=True)
 class Detectors(Timed):
     """Time detectors as Cloak runs them beside the same models used naively."""
 
@@ -352,27 +284,3 @@ class Intervals(Bench):
         if self.out is not None:
             write_text(self.out, intervals_page(result, f"cloak bench intervals --repetitions {self.repetitions}"))
         return result
-
-
-@dataclass(kw_only=True)
-class Printing(Bench):
-    """Try `cloak calibrate` on a synthetic printer and camera.
-
-    Chart, photographs, profile, and what it is worth.
-    """
-
-    example = "--out printing"
-
-    out: Path
-    """New folder to write."""
-    photographs: int = 1
-    """How many are taken of the chart, each from elsewhere."""
-    colors: Path | None = None
-    """Trained colours (.npy): what comes out of them is written, too, sent as they are (OUT/plain.npy) and as the
-    profile says (OUT/calibrated.npy), for `cloak evaluate RUN --colors`."""
-
-    def run(self) -> dict:
-        from cloak_core.bench.printing import try_calibration
-
-        require_new(self.out)
-        return try_calibration(self.out, self.photographs, self.colors).record() | {"out": str(self.out)}
