@@ -21,7 +21,7 @@ from cloak_core.sources.bodies.videos import save_film
 from cloak_core.studies import statistics_photographs
 from cloak_core.studies.judging.judge import judge
 from cloak_core.studies.judging.listing import list_subjects
-from cloak_core.studies.statistics_photographs import clean_scores, independent_pairs, plan
+from cloak_core.studies.statistics_photographs import clean_scores
 from tests.schemas import validate
 
 BLUE, GREEN, RED = (20, 20, 230), (20, 230, 20), (230, 20, 20)
@@ -232,15 +232,6 @@ def test_bad_lists_are_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "with/1.png").write_bytes(b"")
     with pytest.raises(InputError, match="none of its 1 pictures with or without the cloak can be read"):
         see(tmp_path)
-
-
-@pytest.mark.slow
-def test_the_plan_narrows_with_people_and_scenes() -> None:
-    rows = plan((4, 8), (4, 12), (1, 3), (0.5,))
-    points = {(row["people"], row["scenes"], row["each"]): row["points"]["0.5"] for row in rows}
-    assert points[8, 12, 1] < points[4, 12, 1] < points[4, 4, 1]
-    assert points[4, 4, 3] > points[8, 12, 1]  # the same people once more say little
-    assert independent_pairs(0.5) == 93 and independent_pairs(0.9) < 60
 
 
 @pytest.mark.slow
