@@ -34,7 +34,7 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.studies.trainings.material import TrainingData
+from cloak_core.studies.trainings.run_record import TrainingData
 from cloak_core.studies.trainings.training import make_material
 
 WARM_UP = 3

@@ -62,10 +62,6 @@ class Fits(Sequence[Fit]):
         """Read one fit after the other."""
         return map(self._read, self.people)
 
-    def select(self, indices: Iterable[int]) -> Fits:
-        """Take some people, in this order."""
-        return Fits((self.people[index] for index in indices), self._read)
-
     def expect(self, indices: Iterable[int]) -> None:
         """Have the system read photographs and fits of these people ahead of need."""
         for index in indices:

@@ -93,7 +93,7 @@ class TwoStageStudent(TorchvisionStudent):
             batch, _ = teacher.prepare(images)
             features = teacher.features(batch)
             raw = teacher.of_anchors(features)
-            proposals = [best[:PROPOSALS] for best in teacher.propose(batch, features, *raw)[0]]
+            proposals = [best[:PROPOSALS] for best in teacher.propose(batch, features, *raw)]
             judged = _judged(*teacher.of_proposals(batch, features, proposals))
         parts = [
             Answer(*part) for part in zip(*(p.split([len(b) for b in proposals]) for p in judged[:2]), strict=True)
