@@ -74,7 +74,6 @@ GROUPS: dict[str, dict[str, str]] = {
         "bench stability": "bench:Stability",
         "bench step": "bench:Step",
         "bench gpu": "bench:Gpu",
-        "bench intervals": "bench:Intervals",
         "bench detectors": "bench:Detectors",
     },
 }

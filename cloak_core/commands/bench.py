@@ -264,23 +264,3 @@ class Stability(Bench):
         if result["mismatches"]:
             result["failed"] = f"{result['mismatches']} mismatches in {result['cases']} cases"
         return result
-
-
-@dataclass(kw_only=True)
-class Intervals(Bench):
-    """Simulate evaluations with a known rate; count how often intervals cover it."""
-
-    example = "--repetitions 200"
-
-    repetitions: int = 200
-    """Simulated evaluations of each design."""
-    out: Path | None = None
-    """Markdown file to write the table to."""
-
-    def run(self) -> dict:
-        from cloak_core.bench.intervals import intervals_page, run_bench_intervals
-
-        result = run_bench_intervals(self.repetitions)
-        if self.out is not None:
-            write_text(self.out, intervals_page(result, f"cloak bench intervals --repetitions {self.repetitions}"))
-        return result

@@ -64,7 +64,7 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
 
 DO_SOMETHING_BARE = {
     "demo", "version", "zoo list", "zoo reproduce", "detectors list", "bench growth", "bench stability", "bench step",
-    "bench detectors", "bench intervals", "bench gpu", "setup",
+    "bench detectors", "bench gpu", "setup",
 }  # fmt: skip
 
 
