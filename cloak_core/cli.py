@@ -74,10 +74,6 @@ GROUPS: dict[str, dict[str, str]] = {
         "bench stability": "bench:Stability",
         "bench step": "bench:Step",
         "bench gpu": "bench:Gpu",
-        "bench ranks": "bench:Ranks",
-        "bench jobs": "bench:Jobs",
-        "bench intervals": "bench:Intervals",
-        "bench printing": "bench:Printing",
         "bench detectors": "bench:Detectors",
     },
 }

@@ -20,7 +20,7 @@ from cloak_core.commands.help import POSITIONAL, annotations_of, flag_name
 
 RUNS_BARE = (
     *("demo", "setup", "zoo list", "version", "detectors list", "zoo reproduce"),
-    *("bench growth", "bench stability", "bench step", "bench gpu", "bench intervals", "bench detectors"),
+    *("bench growth", "bench stability", "bench step", "bench gpu", "bench detectors"),
 )
 """Commands that need nothing: bare, they do their work."""
 READS = {
@@ -69,10 +69,6 @@ READS = {
     "bench stability": "",
     "bench step": "--detector {}",
     "bench gpu": "",
-    "bench ranks": "--logo {}",
-    "bench jobs": "",
-    "bench intervals": "",
-    "bench printing": "",
     "bench detectors": "--detector {}",
 }
 """Options with which each command reads a file; "" for those that read none."""

@@ -1,15 +1,9 @@
-"""How long training takes: a step against its floor, and several processes beside one.
-
-`cloak bench step`: the floor is the detector's forward and input-backward on a ready batch. `cloak bench ranks`: all
-processes together have as many threads as the one.
-"""
+"""`cloak bench step`: a training step against its floor, the detector's forward and input-backward on a ready batch."""
 
 from __future__ import annotations
 
 import dataclasses
-import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -24,7 +18,7 @@ from cloak_core.bench.records import table
 from cloak_core.bench.views import chest_and_thighs, machine
 from cloak_core.core.batches import Prefetcher
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.events import EventLog, read_events
+from cloak_core.core.events import EventLog
 from cloak_core.core.logo import make_logo
 from cloak_core.core.losses import disappearance
 from cloak_core.core.objective import Objective, gradient_step
@@ -40,7 +34,7 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.studies.trainings.material import TrainingData
+from cloak_core.studies.trainings.run_record import TrainingData
 from cloak_core.studies.trainings.training import make_material
 
 WARM_UP = 3
@@ -246,60 +240,3 @@ def _event_log() -> Iterator[EventLog]:
             yield log
         finally:
             log.close()
-
-
-def run_bench_ranks(
-    spec: str,
-    scene: str,
-    logo: Path,
-    backgrounds: str,
-    *,
-    batch: int,
-    ranks: int,
-    threads: int,
-    steps: int,
-    rounds: int,
-) -> dict:
-    """{SPEC: {"batch", "ranks", "threads", "one", "many", "throughput", ...}}: images a second, and many / one.
-
-    `cloak train` itself, alone and under torchrun, takes turns for `rounds`; medians. The first third of the steps
-    builds views and warms up, and is not counted. InputError: threads that do not divide, or a training that fails.
-    """
-    if ranks < 2 or threads % ranks or steps < 3 or rounds < 1:
-        raise InputError(
-            f"ranks {ranks}, threads {threads}, steps {steps}: at least 2 ranks, 3 steps, and equal shares"
-        )
-    options = ["--scene", scene, "--logo", str(logo), "--backgrounds", backgrounds, "--detector", spec]
-    options += ["--batch", str(batch), "--steps", str(steps), "--checkpoint-every", "0", "--preview-every", "0"]
-    rates: dict[int, list[float]] = {1: [], ranks: []}
-    with tempfile.TemporaryDirectory() as folder:
-        for number in range(rounds):
-            for count, measured in rates.items():
-                out = Path(folder, f"{number}-{count}")
-                measured.append(batch * _steps_per_second(count, threads // count, [*options, "--out", str(out)], out))
-    alone, together = (statistics.median(rates[count]) for count in (1, ranks))
-    return {
-        spec: {
-            "batch": batch,
-            "ranks": ranks,
-            "threads": threads,
-            "one": round(alone, 2),
-            "many": round(together, 2),
-            "throughput": round(together / alone, 4),
-            "all": {str(count): [round(rate, 2) for rate in measured] for count, measured in rates.items()},
-        },
-        "machine": machine(),
-    }
-
-
-def _steps_per_second(count: int, threads: int, options: list[str], out: Path) -> float:
-    launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)] if count > 1 else []
-    command = [sys.executable, *launcher, "-m", "cloak_core", "train", *options, "--threads", str(threads)]
-    environment = os.environ | {"OMP_NUM_THREADS": str(threads)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
-    if done.returncode:
-        words = [line for line in done.stderr.splitlines() if line.startswith("cloak: ")]
-        raise InputError(words[-1].removeprefix("cloak: ") if words else f"training failed: {done.stderr[-300:]!r}")
-    times = [event["time"] for event in read_events(out / "events.jsonl") if event["type"] == "step"]
-    warm = len(times) // 3
-    return (len(times) - 1 - warm) / (times[-1] - times[warm])

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -22,10 +20,8 @@ from cloak_core.core.visibility.settings import GRIDS, RenderSettings
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.sources.bodies.view_files import StoredViews
 
 BATCH = 8
 """Views at once."""
@@ -42,7 +38,7 @@ def run_bench_views(
     """Time one view at a time, milliseconds (of the clock that `clock` says): median and least of `repeats` runs.
 
     Visibility is project, cover and depth; a new view is everything a cached render needs, from vertices in memory;
-    stored is reading the view that an earlier run built; cached is a render of a chest-and-thighs logo onto a ready
+    cached is a render of a chest-and-thighs logo onto a ready
     background together with its gradient. Under by_samples, visibility and new view for every number of samples and for
     coverage by area, and how many times as long `BATCH` views at once take (medians of a quarter of the runs).
     samples: the only way to be timed; None: all of them, 1 in full.
@@ -57,7 +53,6 @@ def run_bench_views(
         result = {
             "visibility_ms": timed(lambda: cache.visible(key), repeats, device),
             "new_view_ms": timed(lambda: cache.build(key), repeats, device),
-            "stored_ms": _reading(cache, camera, repeats),
             "cached_ms": timed(cached_render(cache, camera), repeats, device),
             "by_samples": {
                 str(kind): _one_and_many(_cache(bodies, kind, device), camera, repeats)
@@ -82,15 +77,6 @@ def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, f
         )
         result |= {f"{name}_ms": single, f"{name}_batch_ratio": batch / single}
     return result
-
-
-def _reading(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:
-    with tempfile.TemporaryDirectory() as folder:
-        view = cache.view(0, camera)
-        files = DiskCache(Path(folder), ".view", 1 << 30, "views")
-        stored = StoredViews(files, cache.bodies, cache.settings.recipe, cache._surface, cache.device)
-        stored.put(0, camera, view)
-        return timed(lambda: stored.get(0, camera), repeats, cache.device.type)
 
 
 def cached_render(cache: ViewCache, camera: Camera) -> Callable[[], None]:

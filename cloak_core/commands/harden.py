@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from cloak_core.commands.base import Stopped, load_scene, out
 from cloak_core.commands.options import Computing
@@ -19,7 +19,6 @@ from cloak_core.studies.hardening.settings import HardenSettings
 if TYPE_CHECKING:
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.sources.backdrops.backgrounds import Backgrounds
-    from cloak_core.studies.hardening.pool import Given
     from cloak_core.studies.hardening.student import Student
 
 
@@ -62,8 +61,6 @@ class Harden(Computing):
     clothes."""
     images: Path | None = None
     """Folder of the photographs of --people (default: beside the file, or images/ beside it)."""
-    cloak: UseAppendAction[tuple[str, ...]] = ()
-    """Runs or zoo:NAME to harden against as well, on the bodies of --scene. Judge the result by others."""
     assess: bool = True
     """Leave out the robustness cards of the detector before and after in OUT/cards (twenty minutes)."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
@@ -89,7 +86,6 @@ class Harden(Computing):
         material = {
             "photographs": None if self.photos is None else load_backgrounds(self.photos),
             "people": None if self.people is None else load_people(self.people, self.images),
-            "given": [self._given(bodies, name) for name in self.cloak],
         }
         settings = self._planned(student, bodies, backgrounds, material)
         if settings.decoys and settings.finished and not self.resume:
@@ -126,17 +122,6 @@ class Harden(Computing):
         made = Assess(specs=specs, out=self.out / "cards", quick=True, compute=self.compute).run()
         before, after = (made["cards"][one] for one in specs)
         return {"before": before, "after": after, "files": made["files"]}
-
-    @staticmethod
-    def _given(bodies: Bodies, name: str) -> Given:
-        from cloak_core.core.logo import load_logo
-        from cloak_core.exchange.colors import read_colors
-        from cloak_core.studies.hardening.pool import Given
-        from cloak_core.zoo.entry import run_path
-
-        folder = run_path(name)
-        logo = load_logo(bodies, folder / "logo.npy")
-        return Given(logo, read_colors(folder / "colors.npy", len(logo)))
 
     def _commands(self, spec: str) -> list[str]:
         """List the commands that judge the result by new cloaks on logos that it never saw."""

@@ -27,7 +27,7 @@ class Judge(Detecting):
 
     example = "photographs --detector builtin"
 
-    directory: Positional[Path | None] = None
+    directory: Positional[Path]
     """Folder with with/ and without/ in it, or with pictures.csv."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to judge with."""
@@ -37,18 +37,10 @@ class Judge(Detecting):
     """CSV of people's boxes in upright pixels (file, x1, y1, x2, y2; person where a picture shows several)."""
     out: Path | None = None
     """Folder for report.html, summary.json and scores.csv (default: DIR/judge)."""
-    plan: bool = False
-    """Judge nothing; print how wide intervals will be for numbers of people, scenes and pictures."""
     settings: Annotated[OmitArgPrefixes[JudgeSettings], arg(name="judging")] = field(default_factory=JudgeSettings)
 
     def run(self) -> dict:
         self.prepare()
-        if self.plan:
-            from cloak_core.studies.statistics_photographs import RATES, independent_pairs, plan
-
-            return {"plan": plan(), "independent": {f"{rate:g}": independent_pairs(rate) for rate in RATES}}
-        if self.directory is None:
-            raise InputError("judge: which folder?")
         if not self.detector:
             raise InputError("--detector: none given")
         from cloak_core.studies.judging.judge import judge
@@ -65,8 +57,6 @@ class Judge(Detecting):
             )
 
     def show(self, result: dict) -> None:
-        if "plan" in result:
-            return show_plan(result)
         for spec, told in result["detectors"].items():
             out.print(_table(spec, told, result))
             if told["n_nobody"]:
@@ -94,27 +84,3 @@ def _table(spec: str, told: dict, result: dict) -> Table:
 
 def _interval(bounds: tuple) -> str:
     return "–" if None in bounds else f"{bounds[0]:.2f}–{bounds[1]:.2f}"
-
-
-def show_plan(result: dict) -> None:
-    """Show half widths of 95 % intervals, in points."""
-    rates = list(result["independent"])
-    table = Table(title="half of the 95 % interval, points")
-    for head in ("people", "scenes", "pairs of each in each", "pairs in all", *(f"rate {rate}" for rate in rates)):
-        table.add_column(head, justify="right")
-    for row in result["plan"]:
-        counts = (str(row[key]) for key in ("people", "scenes", "each", "pairs"))
-        table.add_row(*counts, *(f"±{row['points'][rate]:.0f}" for rate in rates))
-    out.print(table)
-    said = ", ".join(f"{count} at a rate of {rate}" for rate, count in result["independent"].items())
-    out.print(f"±10 points from pairs that have no person and no scene in common: {said}")
-    for words in PLAN_WORDS:
-        out.print(words)
-
-
-PLAN_WORDS = (
-    "An interval speaks of people and scenes that were not photographed, so the number of these decides: a second",
-    "picture of the same person in the same scene says little new. From one person or two it cannot be known how much",
-    "people differ; such an interval is too narrow and speaks of these people alone. So it may widen when the first",
-    "few are added, and the wider one is the honest one. Aim for 8 people in 8 scenes.",
-)

@@ -16,8 +16,6 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 
 Log = Literal["tensorboard", "mlflow", "wandb"]
-SHOWN = {"step": "training", "held_out": "held out"}
-"""Events whose numbers become scalars, and the group they stand in."""
 
 
 class Logger:
@@ -41,7 +39,7 @@ class Logger:
             # Only now does the run folder exist.
             self.begin(step)
             self.open = True
-        elif self.open and kind in SHOWN:
+        elif self.open and kind == "step":
             self.scalars(dict(_scalars(event)), step)
         elif self.open and kind == "preview":
             self.picture(self.run / event["path"], step)
@@ -148,7 +146,7 @@ LOGGERS: dict[str, type[Logger]] = {"tensorboard": TensorBoard, "mlflow": MLflow
 def _scalars(event: dict) -> Iterator[tuple[str, float]]:
     for name, value in event.items():
         if isinstance(value, float) and name != "time":
-            yield f"{SHOWN[event['type']]}/{name}", value
+            yield f"training/{name}", value
 
 
 def _missing(extra: str, name: str) -> InputError:

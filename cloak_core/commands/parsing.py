@@ -22,7 +22,7 @@ REGISTRY = ConstructorRegistry()
 
 @REGISTRY.primitive_rule
 def written(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """Read and write ranges, angles and weights as they spell themselves; None for every other type."""
+    """Read and write ranges and angles as they spell themselves; None for every other type."""
     kinds = typing.get_args(info.type) if info.type_origin in (types.UnionType, typing.Union) else (info.type,)
     kind, optional = kinds[0], types.NoneType in kinds
     if not (isinstance(kind, type) and issubclass(kind, Parsable)):

@@ -195,9 +195,6 @@ class Train(Detecting):
 
     def show(self, result: dict) -> None:
         words = f", loss {result['loss']:.4f}" if "loss" in result else ""
-        words += f", {result['enough']}" if "enough" in result else ""
-        if result["colors_step"] != result["step"]:
-            words += f"; the colours are those of step {result['colors_step']}"
         if not RANK:
             out.print(f"wrote {result['out']}: step {result['step']}{words}")
         if "queries" in result and not RANK:

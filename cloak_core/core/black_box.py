@@ -81,9 +81,7 @@ def search_settings(settings: TrainSettings, detectors: int) -> TrainSettings:
         steps=steps_within(settings, detectors),
         epochs=None,
         loss="margin",
-        rpn_weight=0.0,
         ensemble="mean",
-        detector_weights=None,
         detectors_per_step=None,
         lr=settings.queries.query_lr,
         schedule="constant",
@@ -159,7 +157,7 @@ class Search(TrainingLoop):
         self.prior = prior
         self.cost = len(objective.detectors) * settings.run.batch
         optimizer = QueryOptimizer(settings.optimization, start)
-        super().__init__(settings, run, batcher, objective, optimizer, None, on_event, world)
+        super().__init__(settings, run, batcher, objective, optimizer, on_event, world)
 
     def run_to_end(self, stop: StopRequest) -> SearchResult:
         """Ask until done or told to stop; a checkpoint and the colours are written either way."""

@@ -1,13 +1,10 @@
 """Several detectors at once: which of them a step asks, and how their losses for an image become one."""
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from cloak_core.core.settings.components import LossSettings
 from cloak_core.core.technique import NO_TECHNIQUES, Techniques
-from cloak_core.files.errors import InputError
 
 _STREAM = 0xDE7
 """Of random numbers, apart from those that draw the images."""
@@ -17,7 +14,7 @@ better."""
 
 
 class Ensemble:
-    """The detectors of a run by their number, 0 .. count - 1. InputError: weights that do not fit them."""
+    """The detectors of a run by their number, 0 .. count - 1."""
 
     def __init__(
         self, settings: LossSettings, count: int, seed: int = 0, techniques: Techniques = NO_TECHNIQUES
@@ -26,10 +23,6 @@ class Ensemble:
         self.settings = settings
         self.seed = seed
         self.per_step = min(settings.detectors_per_step or count, count)
-        weights = settings.detector_weights or (1.0,) * count
-        if len(weights) != count:
-            raise InputError(f"--detector-weights: {len(weights)} weights, but the run has {count} --detector")
-        self._weights = np.array(weights) / sum(weights)
         self._weighing = next(iter(techniques.at("weights")), None)
 
     @property
@@ -43,11 +36,12 @@ class Ensemble:
 
         Where a technique weighs them, a subset asks more often instead, and weighs alike.
         """
-        return self._weights if self._weighing is None or self.is_subset else self._weighing.weights()
+        if self._weighing is None or self.is_subset:
+            return np.full(self.count, 1.0) / self.count
+        return self._weighing.weights()
 
-    def asked(self, step: int | None) -> list[list[int]]:
-        """Choose the detectors of a step (None: all), in groups whose losses need each other: alone but for the
-        maximum.
+    def asked(self, step: int | None) -> list[int]:
+        """Choose the detectors of a step (None: all).
 
         A function of (seed, step) and of what was observed, so that a resumed run and every process ask the same.
         """
@@ -58,17 +52,11 @@ class Ensemble:
             if self._weighing is not None:
                 often = _EVEN / self.count + (1 - _EVEN) * self._weighing.weights()
             chosen = np.sort(random.choice(self.count, self.per_step, replace=False, p=often))
-        if self.settings.ensemble == "max":
-            return [chosen.tolist()]
-        return [[int(number)] for number in chosen]
+        return chosen.tolist()
 
-    def combine(self, losses: dict[int, Float[Tensor, " B"]], asked: int) -> Float[Tensor, " B"]:
-        """Combine a group's losses, by the detector's number; `asked` detectors were in all groups.
+    def weight(self, number: int, asked: int) -> float:
+        """Compute what the loss of detector `number` counts, one of `asked`.
 
         Of a subset each detector counts for those left out, too, so that its expectation is the whole ensemble's.
         """
-        stacked = torch.stack(list(losses.values()))
-        if self.settings.ensemble == "max":
-            return stacked.amax(dim=0)
-        weights = [float(self.weights[number]) * self.count / asked for number in losses]
-        return (stacked * stacked.new_tensor(weights)[:, None]).sum(dim=0)
+        return float(self.weights[number]) * self.count / asked

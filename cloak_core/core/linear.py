@@ -80,10 +80,6 @@ class SparseMap:
         product = torch.sparse.mm(self.matrix, other.matrix)
         return SparseMap(product.crow_indices(), product.col_indices(), product.values(), other.width)
 
-    def relabelled(self, column: Int64[Tensor, " C"], width: int) -> SparseMap:
-        """Compose with a map that has one entry of weight 1 a row, given by its column; weights keep their bits."""
-        return replace(self, column=column.index_select(0, self.column), width=width)
-
     def scaled(self, factor: Float[Tensor, " R"]) -> SparseMap:
         """Multiply each row by a factor."""
         return replace(self, weight=self.weight * factor.index_select(0, self.row))

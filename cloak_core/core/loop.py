@@ -20,7 +20,6 @@ from cloak_core.core.checkpoints import (
 )
 from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.core.events import EventLog, OnEvent, read_events, rewind_events
-from cloak_core.core.held_out import HeldOut
 from cloak_core.core.objective import Objective, Step, StepFigures, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer, learning_rate
 from cloak_core.core.run_folder import RunFolder, save_preview
@@ -58,11 +57,7 @@ class RunResult:
     stopped: str
     """Why it was ended early ("SIGINT", "cancel file", "time budget"); "" when it is complete."""
     colors: np.ndarray
-    """[L, 3] float32: those in colors.npy. The last ones, or those that did best on what was held out."""
-    colors_step: int
-    """The step they are of."""
-    enough: str = ""
-    """Why it was complete before its last step: nothing better on what was held out."""
+    """[L, 3] float32: those in colors.npy."""
     report: dict[str, float] = dataclasses.field(default_factory=dict)
     """What techniques measured of the colours."""
 
@@ -73,17 +68,11 @@ class RunResult:
             "out": str(self.out),
             "step": self.step,
             "steps": self.steps,
-            "colors_step": self.colors_step,
             "seconds": round(self.seconds, 2),
             "distinct_colors": len(np.unique(self.colors, axis=0)),
         }
-        record |= {"enough": self.enough} if self.enough else {}
-        return (
-            record
-            | self.report
-            | figures
-            | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
-        )
+        stopped = {"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {}
+        return record | self.report | figures | stopped
 
 
 class TrainingLoop:
@@ -96,7 +85,6 @@ class TrainingLoop:
         batcher: Batcher,
         objective: Objective,
         optimizer: ColorOptimizer,
-        held_out: HeldOut | None,
         on_event: OnEvent | None,
         world: World,
     ) -> None:
@@ -107,7 +95,6 @@ class TrainingLoop:
         self.settings = settings
         self.sampler = batcher.sampler
         self.optimizer = optimizer
-        self.held_out = held_out
         self.world = world
         self.step = 0
         self._earlier = 0.0
@@ -125,8 +112,7 @@ class TrainingLoop:
             self.batches.close()
             if self.log:
                 self.log.close()
-        last, colors_step = self._final_colors()
-        colors = self._on_faces(last)
+        colors = self.optimizer.finished()
         return RunResult(
             out=self.run.path,
             step=self.step,
@@ -134,10 +120,8 @@ class TrainingLoop:
             seconds=self.seconds,
             figures=figures or self._recorded_figures(),
             stopped=reason,
-            colors=colors,
-            colors_step=colors_step,
-            enough=self._enough(),
-            report=self.techniques.report(_as_array(last)),
+            colors=self._on_faces(colors),
+            report=self.techniques.report(_as_array(colors)),
         )
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
@@ -148,42 +132,28 @@ class TrainingLoop:
         try:
             while not self._is_done() and not reason:
                 figures = self._one_step()
-                self._hold_out()
                 if self.world.is_first and self._due(self.settings.run.snapshot_every):
-                    self.run.write_snapshot(self.step, self._colors_array())
+                    self.run.write_snapshot(self.step, self._on_faces(self.optimizer.finished()))
                 reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
-                if self._is_done() or reason:
-                    self._save(final=True)
-                elif self._due(self.settings.run.checkpoint_every):
+                if self._is_done() or reason or self._due(self.settings.run.checkpoint_every):
                     self._save()
                 else:
                     self._show()
         except LostProcess as lost:
-            self._save(final=True)
+            self._save()
             message = f"{self.run.path}: lost another process of this run after step {self.step} ({lost})"
             raise TrainingError(f"{message}; a checkpoint is written, --resume goes on") from None
         except InputError:
             # A background that vanished, a detector gone wrong: keep what was reached, unless the disk is the trouble.
             with contextlib.suppress(InputError):
-                self._save(final=True)
+                self._save()
             raise
         reason = "" if self._is_done() else reason
-        outcome = "stopped" if reason else "done"
-        self._tell("end", outcome=outcome, reason=reason or self._enough(), colors_step=self._final_colors()[1])
+        self._tell("end", outcome="stopped" if reason else "done", reason=reason)
         return figures, reason
 
     def _is_done(self) -> bool:
-        return self.step >= self.sampler.steps or bool(self._enough())
-
-    def _enough(self) -> str:
-        """Say why no more steps are needed before the last one; "" when they are."""
-        if self.held_out is None or self.step >= self.sampler.steps or not self.held_out.is_over(self.step):
-            return ""
-        return f"nothing better on what is held out since step {self.held_out.best.step}"
-
-    def _hold_out(self) -> None:
-        if self.held_out is not None and self.held_out.is_due(self.step, self.sampler.steps):
-            self._tell("held_out", **self.held_out.consider(self.step, self.optimizer.finished()))
+        return self.step >= self.sampler.steps
 
     def _recorded_figures(self) -> StepFigures | None:
         """Read the last step's figures from the event log: a run that was complete before has no others."""
@@ -230,7 +200,7 @@ class TrainingLoop:
         """Tell techniques how surely each detector found a person in the batch's images, every process's."""
         device = self.batcher.device
         for technique in self.techniques.at("observe"):
-            asked = [number for group in self.objective.ensemble.asked(self.step) for number in group]
+            asked = self.objective.ensemble.asked(self.step)
             total = torch.zeros(len(asked), dtype=torch.float64, device=device)
             for place, number in enumerate(asked):
                 if number in step.detections:
@@ -259,9 +229,6 @@ class TrainingLoop:
         if self.log:
             self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
 
-    def _colors_array(self) -> Float[np.ndarray, "L 3"]:
-        return self._on_faces(self.optimizer.finished())
-
     def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
         """Give the colours of the logo's faces: of a cloth, the mean of the squares on each face.
 
@@ -271,35 +238,27 @@ class TrainingLoop:
         is_exact = any(technique.is_exact for technique in self.techniques)
         return self.batcher.worn.on_faces(_as_array(colors), is_exact)
 
-    def _final_colors(self) -> tuple[Float[Tensor, "N 3"], int]:
-        """Give the colours the run ends with, and the step they are of."""
-        if self.held_out is None or self.held_out.best is None:
-            return self.optimizer.finished(), self.step
-        return self.held_out.best.colors, self.held_out.best.step
-
-    def _save(self, final: bool = False) -> None:
-        """Write a checkpoint, and the colours: the latest, or those the run ends with."""
+    def _save(self) -> None:
+        """Write a checkpoint and the colours."""
         if self.world.is_first:
-            colors = self._final_colors()[0] if final else self.optimizer.finished()
-            self._write_colors(colors)
-            tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
-            tensors |= self.techniques.state()
+            self._write_colors()
+            tensors = self.optimizer.state() | self.techniques.state()
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
-            self._shown = time.perf_counter()
             self._tell("checkpoint")
 
     def _show(self) -> None:
-        """Write the latest colours every now and then, for whoever watches."""
+        """Write the colours every now and then, for whoever watches."""
         if self.world.is_first and time.perf_counter() - self._shown >= LIVE_SECONDS:
-            self._write_colors(self.optimizer.finished())
-            self._shown = time.perf_counter()
+            self._write_colors()
 
-    def _write_colors(self, colors: Float[Tensor, "N 3"]) -> None:
+    def _write_colors(self) -> None:
         """Write the cloth, where one is trained, then the faces' colours: whoever watches these finds both new."""
+        colors = self.optimizer.finished()
         picture = self.batcher.worn.picture(_as_array(colors))
         if picture is not None:
             self.run.write_cloth(picture)
         write_colors(self.run.colors, self._on_faces(colors))
+        self._shown = time.perf_counter()
 
     def _restore(self) -> list[str]:
         """Load the last sound checkpoint, if any, in every process; returns what was wrong with later ones."""
@@ -309,8 +268,6 @@ class TrainingLoop:
             try:
                 self.optimizer.load(checkpoint.tensors)
                 self.techniques.load(checkpoint.tensors)
-                if self.held_out is not None:
-                    self.held_out.load(checkpoint.tensors)
             except (KeyError, ValueError) as error:
                 raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
             self.step = checkpoint.step

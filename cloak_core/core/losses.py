@@ -17,10 +17,9 @@ from torch import Tensor
 
 from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import Detections
-from cloak_core.core.detector.scoring import max_objectness, max_person_score, row_max
+from cloak_core.core.detector.scoring import max_objectness, max_person_score
 from cloak_core.core.settings.components import Loss
 from cloak_core.core.visibility.compiled import arrays, loop, use_loops
-from cloak_core.files.errors import InputError
 
 SURE = 1 - 2**-24
 """The largest float32 below 1: the log of a saturated score is 16.6 and not infinity."""
@@ -60,17 +59,6 @@ def person_loss(
     if kind == "margin":
         best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - _logit(operating_point) + margin)
     return best
-
-
-def proposal_loss(detections: Detections) -> Float[Tensor, " B"]:
-    """Measure the first stage's objectness of proposals, each as far as it became a person (two-stage detectors).
-
-    The product of both, its gradient reaching the first stage alone (the second has `person_loss`); a proposal that the
-    second stage takes for something else may stay. InputError where there are no proposal scores.
-    """
-    if detections.proposal_scores is None:
-        raise InputError("--rpn-weight: the detector gives no scores of proposals")
-    return row_max(detections.proposal_scores * detections.scores.detach())
 
 
 def total_variation(

@@ -13,12 +13,11 @@ from cloak_core.core.detector.protocol import Detections, Detector, join_detecti
 from cloak_core.core.detector.scoring import is_detected
 from cloak_core.core.ensemble import Ensemble
 from cloak_core.core.logo import Logo
-from cloak_core.core.losses import person_loss, proposal_loss, total_variation
+from cloak_core.core.losses import person_loss, total_variation
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.technique import NO_TECHNIQUES, Techniques
 from cloak_core.core.world import ALONE, World
-from cloak_core.files.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,6 @@ class Objective:
         self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
-        self._without_proposals: set[int] = set()
 
     def penalty(self, colors: Float[Tensor, "L 3"]) -> tuple[float, Float[Tensor, ""]]:
         """Compute what techniques add to the loss: a weight, and what it weighs; 0 without any."""
@@ -78,11 +76,9 @@ class Objective:
         bodies: the true box of each image's body, needed where everything on it is to be hidden, and with `company`:
         who else is in the images, and does not count.
 
-        Each detector's activations are gone before the next one starts (but for the maximum, which needs all). Under
-        `torch.no_grad` there are none.
+        Each detector's activations are gone before the next one starts. Under `torch.no_grad` there are none.
         """
-        groups = self.ensemble.asked(step)
-        asked = [number for group in groups for number in group]
+        asked = self.ensemble.asked(step)
         answers: dict[int, list[Detections]] = {number: [] for number in asked}
         disappearance, reported = images.new_zeros(()), images.new_zeros(())
         gradients: list[Tensor] = []
@@ -91,16 +87,15 @@ class Objective:
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
             near = None if bodies is None else bodies[first : first + size]
             among = None if company is None else company.part(first, first + size)
-            for group in groups:
-                detected = {number: self.detect(number, part, step, near, among) for number in group}
-                losses = {number: self.loss(detections, number) for number, detections in detected.items()}
-                loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
+            for number in asked:
+                detections = self.detect(number, part, step, near, among)
+                weighted = self.loss(detections, number) * self.ensemble.weight(number, len(asked))
+                loss = weighted.sum() / len(images)
                 if part.requires_grad:
                     loss.backward()
                 disappearance += loss.detach()
-                for number, detections in detected.items():
-                    answers[number].append(join_detections([detections]))
-                    reported += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
+                answers[number].append(join_detections([detections]))
+                reported += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
             if part.grad is not None:
                 gradients.append(part.grad)
         detections = {number: join_detections(parts) for number, parts in answers.items() if parts}
@@ -134,15 +129,7 @@ class Objective:
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)
-        loss = person_loss(detections, settings.loss, point, settings.margin)
-        if not settings.rpn_weight:
-            return loss
-        if detections.proposal_scores is not None:
-            return loss + settings.rpn_weight * proposal_loss(detections)
-        self._without_proposals.add(number)
-        if len(self._without_proposals) == len(self.detectors):
-            raise InputError("--rpn-weight: none of the detectors gives scores of proposals (two-stage ones do)")
-        return loss
+        return person_loss(detections, settings.loss, point, settings.margin)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from jaxtyping import Float
 from cloak_core.core.batches import Batcher
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
-from cloak_core.core.held_out import HeldOut, held_out_settings
 from cloak_core.core.loop import RunResult, TrainingLoop
 from cloak_core.core.objective import Objective
 from cloak_core.core.optimizer import ColorOptimizer
@@ -53,8 +52,6 @@ class Job:
     """The colours to begin with."""
     techniques: Techniques
     trained: Material
-    held: Material | None
-    """Set aside to choose the best colours."""
     detectors: Sequence[Detector]
     query_prior: Sequence[Detector]
     """Whose gradients lead a search by questions."""
@@ -85,12 +82,8 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
         objective = Objective(drawn, worn.bordered, job.detectors, device, techniques)
         if search is None:
-            held_out = None
-            if job.held is not None:
-                measured = make_batcher(held_out_settings(settings), job.held, worn, device, techniques)
-                held_out = HeldOut(settings.run, measured, objective, world)
             optimizer = ColorOptimizer(settings.optimization, first, techniques, worn)
-            loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
+            loop = TrainingLoop(settings, run, batcher, objective, optimizer, on_event, world)
         else:
             prior = None
             if job.query_prior:
@@ -113,8 +106,8 @@ def make_batcher(
 
 def _require_plain(job: Job, world: World) -> None:
     """Refuse what a search by questions does not do. InputError."""
-    if job.held is not None or world.size > 1:
-        raise InputError("--black-box-queries: searches in one process, without --held-out")
+    if world.size > 1:
+        raise InputError("--black-box-queries: searches in one process")
     if job.settings.pattern.pattern != "free" or any(technique.bars_search for technique in job.techniques):
         refused = "--colors-at-most, --pattern, --profile, --near and --octaves"
         raise InputError(f"--black-box-queries: free colours alone, without {refused}")

@@ -28,11 +28,10 @@ CLEAR = 0.05
 class PythonDetector(Detector):
     """Wraps a module that takes images [B, 3, H, W] (RGB, 0..1) and returns boxes [B, N, 4] and person scores [B, N].
 
-    It may return a `Detections` instead: with `other` and `other_class` it tells what else it sees, with
-    `proposal_scores` a first stage can be attacked. Images are handed over as they are unless an input size is given,
-    their memory channels last (`channels_last`): the same numbers, and convolutions are faster for it. A module that
-    takes views which that layout does not allow gets the usual one. The module's attributes `differentiable`,
-    `partial_gradient` and `class_names` are taken over, see `Detector`.
+    It may return a `Detections` instead: with `other` and `other_class` it tells what else it sees. Images are handed
+    over as they are unless an input size is given, their memory channels last (`channels_last`): the same numbers, and
+    convolutions are faster for it. A module that takes views which that layout does not allow gets the usual one. The
+    module's attributes `differentiable`, `partial_gradient` and `class_names` are taken over, see `Detector`.
     """
 
     def __init__(

@@ -32,7 +32,6 @@ SHARE = Kind("a number from 0 to 1", lambda value: is_number(value) and 0 <= val
 TEXT = Kind("text", lambda value: isinstance(value, str))
 FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 NOTHING = Kind("null", lambda value: value is None)
-ANYTHING = Kind("anything", lambda value: True)
 
 
 def check_shape(value: object, shape: Shape, what: str, place: str = "") -> None:

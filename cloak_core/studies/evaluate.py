@@ -29,7 +29,6 @@ from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.sources.bodies.view_files import view_files
 from cloak_core.studies.body_renderer import BodyRenderer
 from cloak_core.studies.cloaked import Cloaked
 from cloak_core.studies.cycles import in_cycles
@@ -139,7 +138,7 @@ def make_renderer(
     """Draw the trials and make ready to render them."""
     bodies = cloaked.bodies
     trials = draw_trials(bodies.pose_count, angles, len(cloaked.backgrounds), bodies.outfit_count, settings)
-    render = RenderSettings.of(settings, device=device, files=view_files())
+    render = RenderSettings.of(settings, device=device)
     view_cache = ViewCache(bodies, render, on_cloth=cloaked.cloth is not None)
     return BodyRenderer(cloaked, trials, settings.camera, view_cache, settings.seed)
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import NormalDist
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
-from cloak_core.core.evaluation.intervals import RESAMPLES, clustered_rate, wilson
+from cloak_core.core.evaluation.intervals import RESAMPLES
 from cloak_core.core.evaluation.statistics import (
     finite,
     hidden,
@@ -143,51 +142,3 @@ def _numbers_first(key: str) -> tuple:
         return (0, float(key), key)
     except ValueError:
         return (1, 0.0, key)
-
-
-# --- how many photographs an interval of a given width takes
-
-ALIKE = 0.1
-"""Share of the latent variance between pictures that the person decides, and the scene likewise."""
-PEOPLE, SCENES, EACH = (1, 2, 4, 8, 12), (2, 4, 8, 12), (1, 3)
-RATES = (0.5, 0.9)
-
-
-def plan(
-    people: Sequence[int] = PEOPLE,
-    scenes: Sequence[int] = SCENES,
-    each: Sequence[int] = EACH,
-    rates: Sequence[float] = RATES,
-    *,
-    draws: int = 20,
-    resamples: int = 200,
-) -> list[dict]:
-    """Simulate campaigns: half the width of the 95 % interval about each true rate, the mean over draws, in points.
-
-    A row for every number of people, of scenes, and of pairs of pictures of each person in each scene. Pictures of one
-    person, and of one scene, are alike: each decides a share `ALIKE` of a normal latent variable's variance.
-    """
-    rows = []
-    for counts in ((p, s, e) for p in people for s in scenes for e in each):
-        half = {f"{true:g}": round(100 * _half_width(counts, true, draws, resamples), 1) for true in rates}
-        label = dict(zip(("people", "scenes", "each"), counts, strict=True))
-        rows.append(label | {"pairs": math.prod(counts), "points": half})
-    return rows
-
-
-def independent_pairs(true_rate: float, half: float = 0.1) -> int:
-    """Count the pairs that would do if no two of them had a person or a scene in common, by Wilson's interval."""
-    return next(n for n in range(1, 100_000) if np.ptp(wilson(true_rate, n)) / 2 <= half)
-
-
-def _half_width(counts: tuple[int, int, int], true_rate: float, draws: int, resamples: int) -> float:
-    rng = np.random.default_rng([0, *counts])
-    person, place, _ = (axis.ravel() for axis in np.meshgrid(*map(np.arange, counts), indexing="ij"))
-    cut, widths = NormalDist().inv_cdf(true_rate), []
-    for draw in range(draws):
-        latent = math.sqrt(ALIKE) * (rng.normal(size=counts[0])[person] + rng.normal(size=counts[1])[place])
-        latent = latent + math.sqrt(1 - 2 * ALIKE) * rng.normal(size=len(person))
-        found: Bool[np.ndarray, " N"] = latent < cut
-        estimate = clustered_rate(found, person, place, resamples=resamples, seed=draw)
-        widths.append((estimate.high - estimate.low) / 2)
-    return float(np.mean(widths))

@@ -190,22 +190,17 @@ class Sweep:
 
 
 def _figures(folder: Path) -> dict:
-    """Average the last tenth of a run's steps; add what was held out last told."""
+    """Average the last tenth of a run's steps."""
     events = read_events(folder / "events.jsonl")
     steps = [e for e in events if e.get("type") == "step" and all(isinstance(e.get(k), (int, float)) for k in FIGURES)]
     last = steps[-max(1, len(steps) // 10) :]
-    figures = {key: round(sum(event[key] for event in last) / len(last), 6) for key in FIGURES} if last else {}
-    held = [e for e in events if e.get("type") == "held_out" and e.get("step") == e.get("best_step")]
-    if held:
-        figures["held_out"] = {key: held[-1].get(key) for key in ("step", "disappearance", "success")}
-    return figures
+    return {key: round(sum(event[key] for event in last) / len(last), 6) for key in FIGURES} if last else {}
 
 
 def table(results: Sequence[dict]) -> list[str]:
     """Write the results as lines of a Markdown table."""
     varied = list(dict.fromkeys(key for result in results for key in result["varied"]))
-    held = any("held_out" in result for result in results)
-    heads = [*varied, "steps", "seconds", "loss", "success", *(["held-out success"] if held else []), "run"]
+    heads = [*varied, "steps", "seconds", "loss", "success", "run"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for result in results:
         cells = [words(result["varied"].get(key, "")) for key in varied]
@@ -214,7 +209,6 @@ def table(results: Sequence[dict]) -> list[str]:
         else:
             cells += [str(result["step"]), f"{result['seconds']:.0f}"]
             cells += [f"{result[key]:.4f}" if key in result else "" for key in ("loss", "success")]
-            cells += [f"{result['held_out']['success']:.4f}" if "held_out" in result else ""] if held else []
             cells += [result["out"]]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return lines

@@ -34,8 +34,7 @@ from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.studies.trained_run import clocked, cpu_seconds, read_history
-from cloak_core.studies.trainings.material import TrainingData
-from cloak_core.studies.trainings.run_record import device_kind
+from cloak_core.studies.trainings.run_record import TrainingData, device_kind
 from cloak_core.studies.trainings.training import train, training_config
 
 _log = logging.getLogger("cloak")

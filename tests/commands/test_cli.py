@@ -64,7 +64,7 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
 
 DO_SOMETHING_BARE = {
     "demo", "version", "zoo list", "zoo reproduce", "detectors list", "bench growth", "bench stability", "bench step",
-    "bench detectors", "bench intervals", "bench gpu", "setup",
+    "bench detectors", "bench gpu", "setup",
 }  # fmt: skip
 
 
@@ -196,7 +196,7 @@ def test_help_has_headings_and_choices(capsys, monkeypatch):
     assert list(shown) == ["Options", "Detectors", *parts, "Computing"]
     assert "--preset {paper,reference,best,transfer,photographs}" in shown["Options"]
     assert {"--outfits {random,first}", "--samples {1,4,16,64}", "--distance LOW:HIGH"} <= set(shown["Views"])
-    assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,max,weighted,adaptive}"} <= set(shown["Loss"])
+    assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,adaptive}"} <= set(shown["Loss"])
     assert {"--optimizer {sgd,adam,mi}", "--schedule {constant,step,cosine}"} <= set(shown["Optimiser"])
     assert {"--translation-per {image,batch}", "--blur X"} <= set(shown["Augmentation"])
     shown = help_of("evaluate", capsys)

@@ -105,8 +105,6 @@ def test_every_detectors_images_count_and_a_start_is_taken(tmp_path):
 def test_without_gradients_training_points_to_the_search(tmp_path):
     with pytest.raises(InputError, match="--black-box-queries"):
         run(tmp_path / "run", [Asked()])
-    with pytest.raises(InputError, match="without --held-out"):
-        run(tmp_path / "run", [Asked()], black_box_queries=100, held_out=0.2, **HOW)
 
 
 class Blue(Detector):

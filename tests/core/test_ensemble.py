@@ -1,4 +1,4 @@
-"""Several detectors in one loss, in parts of a batch, and the first stage of those that have one."""
+"""Several detectors in one loss, in parts of a batch."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ from tests.core.test_training import run
 IMAGES = torch.rand(5, 3, 64, 64, generator=torch.Generator().manual_seed(0))
 
 
-class Proposing(TinyDetector):
-    """Two stages: the objectness of the first depends on the images, too. Counts the images it is shown at a time."""
+class Counting(TinyDetector):
+    """Counts the images it is shown at a time."""
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__(seed)
@@ -24,8 +24,7 @@ class Proposing(TinyDetector):
 
     def forward(self, images: torch.Tensor) -> Detections:
         self.shown.append(len(images))
-        found = super().forward(images)
-        return found._replace(objectness=None, is_person=None, proposal_scores=found.objectness)
+        return super().forward(images)
 
 
 def objective(detectors, **changes) -> Objective:
@@ -35,31 +34,19 @@ def objective(detectors, **changes) -> Objective:
     )
 
 
-def asked(ensemble: Ensemble, step: int) -> tuple[int, ...]:
-    return tuple(number for group in ensemble.asked(step) for number in group)
-
-
-def by_hand(detectors, combine) -> tuple[torch.Tensor, torch.Tensor]:
+def by_hand(detectors) -> tuple[torch.Tensor, torch.Tensor]:
     """Loss and gradient of the whole batch at once."""
     images = IMAGES.clone().requires_grad_()
-    loss = combine(torch.stack([person_loss(detector(images)) for detector in detectors])).mean()
+    loss = torch.stack([person_loss(detector(images)) for detector in detectors]).mean()
     return loss.detach(), torch.autograd.grad(loss, images)[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("microbatch", [None, 1, 2, 5, 7])
-@pytest.mark.parametrize(
-    ("changes", "combine"),
-    [
-        ({}, lambda losses: losses.mean(dim=0)),
-        ({"ensemble": "max"}, lambda losses: losses.amax(dim=0)),
-        ({"ensemble": "weighted", "detector_weights": "1,0,3"}, lambda losses: (losses[0] + 3 * losses[2]) / 4),
-    ],
-)
-def test_loss_and_gradient_of_an_ensemble(changes, combine, microbatch):
+def test_loss_and_gradient_of_an_ensemble(microbatch):
     detectors = [TinyDetector(seed) for seed in range(3)]
-    answer = objective(detectors, **changes, microbatch=microbatch).forward_backward(IMAGES)
-    loss, gradient = by_hand(detectors, combine)
+    answer = objective(detectors, microbatch=microbatch).forward_backward(IMAGES)
+    loss, gradient = by_hand(detectors)
     torch.testing.assert_close(answer.disappearance, loss)
     torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
     for number, detector in enumerate(detectors):
@@ -109,7 +96,7 @@ def test_hiding_the_person_alone_renames_it_and_hiding_everything_does_not(tmp_p
 
 @pytest.mark.slow
 def test_microbatches_bound_what_a_detector_is_shown(tmp_path):
-    whole, parts = Proposing(), Proposing()
+    whole, parts = Counting(), Counting()
     a, b = run(tmp_path / "a", [whole], batch=5), run(tmp_path / "b", [parts], batch=5, microbatch=2)
     assert set(whole.shown) == {5} and parts.shown == [2, 2, 1] * 6
     np.testing.assert_allclose(a.colors, b.colors, atol=1e-5)
@@ -118,9 +105,10 @@ def test_microbatches_bound_what_a_detector_is_shown(tmp_path):
 
 @pytest.mark.slow
 def test_a_subset_per_step_is_drawn_from_seed_and_step(tmp_path):
-    detectors = [Proposing(seed) for seed in range(4)]
+    detectors = [Counting(seed) for seed in range(4)]
     chosen = {"detectors_per_step": 2, "steps": 8, "checkpoint_every": 3}
-    draws = lambda seed: [asked(Ensemble(tiny_settings(**chosen).objective, 4, seed), step) for step in range(200)]
+    settings = tiny_settings(**chosen).objective
+    draws = lambda seed: [tuple(Ensemble(settings, 4, seed).asked(step)) for step in range(200)]
     drawn = draws(0)
     assert all(len(set(numbers)) == 2 for numbers in drawn) and len(set(drawn)) == 6
     assert drawn == draws(0) and drawn != draws(1)
@@ -134,48 +122,27 @@ def test_a_subset_per_step_is_drawn_from_seed_and_step(tmp_path):
 
 def test_a_subset_is_at_most_the_whole_ensemble():
     few = objective([TinyDetector(seed) for seed in range(2)], detectors_per_step=3)
-    assert asked(few.ensemble, 5) == (0, 1)
+    assert few.ensemble.asked(5) == [0, 1]
 
 
 def test_subsets_stand_for_the_whole_ensemble():
     detectors = [TinyDetector(seed) for seed in range(3)]
-    weighted = {"ensemble": "weighted", "detector_weights": "2,1,1"}
-    full = objective(detectors, **weighted).forward_backward(IMAGES)
-    part = objective(detectors, **weighted, detectors_per_step=2)
-    first = {asked(part.ensemble, step): step for step in range(100)}
+    full = objective(detectors).forward_backward(IMAGES)
+    part = objective(detectors, detectors_per_step=2)
+    first = {tuple(part.ensemble.asked(step)): step for step in range(100)}
     assert len(first) == 3
     mean = torch.stack([part.forward_backward(IMAGES, step).gradient for step in first.values()]).mean(dim=0)
     torch.testing.assert_close(mean, full.gradient, rtol=1e-4, atol=1e-9)
 
 
-def test_rpn_weight_reaches_the_first_stage():
-    detector = Proposing()
-    answer = objective([detector], rpn_weight=0.5).forward_backward(IMAGES)
-    images = IMAGES.clone().requires_grad_()
-    found = detector(images)
-    first = (found.proposal_scores * found.scores.detach()).amax(dim=1)
-    (gradient,) = torch.autograd.grad((found.scores.amax(dim=1) + 0.5 * first).mean(), images)
-    torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
-    assert not torch.allclose(answer.gradient, objective([detector]).forward_backward(IMAGES).gradient)
-
-
-def test_rpn_weight_needs_one_detector_with_two_stages(tmp_path):
-    with pytest.raises(InputError, match="--rpn-weight: none of the detectors gives scores of proposals"):
-        run(tmp_path / "none", [TinyDetector(), TinyDetector(1)], rpn_weight=1.0)
-    assert run(tmp_path / "one", [TinyDetector(), Proposing()], rpn_weight=1.0).step == 6
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"ensemble": "weighted"}, "one needs the other"),
-        ({"detector_weights": "1,1"}, "one needs the other"),
-        ({"ensemble": "weighted", "detector_weights": "1"}, "--detector-weights: 1 weights, but the run has 2"),
-        ({"ensemble": "weighted", "detector_weights": "0,0"}, "--detector-weights: '0,0' holds a negative weight"),
-        ({"ensemble": "weighted", "detector_weights": "1,x"}, "--detector-weights: 'x' in '1,x' is not a number"),
+        ({"detector_weights": "1,1"}, "--detector-weights 1,1: this version has no such option"),
+        ({"rpn_weight": 0.5}, "--rpn-weight 0.5: this version has no such option"),
         ({"detectors_per_step": 0}, "--detectors-per-step: 0 is not in"),
         ({"microbatch": 0}, "--microbatch: 0 is not in"),
-        ({"ensemble": "min"}, "--ensemble: 'min' is not one of mean, max, weighted"),
+        ({"ensemble": "min"}, "--ensemble: 'min' is not one of mean, adaptive"),
     ],
 )
 def test_what_does_not_fit_is_refused_before_a_run_begins(changes, message, tmp_path):
@@ -185,12 +152,12 @@ def test_what_does_not_fit_is_refused_before_a_run_begins(changes, message, tmp_
 
 
 def test_join_detections_pads():
-    one = Detections(torch.ones(2, 3, 4), torch.ones(2, 3), proposal_scores=torch.ones(2, 3))
-    two = Detections(torch.ones(1, 5, 4), torch.ones(1, 5), proposal_scores=torch.ones(1, 5))
+    one = Detections(torch.ones(2, 3, 4), torch.ones(2, 3), other=torch.ones(2, 3))
+    two = Detections(torch.ones(1, 5, 4), torch.ones(1, 5), other=torch.ones(1, 5))
     joined = join_detections([one, two])
     assert joined.boxes.shape == (3, 5, 4) and joined.scores.sum(dim=1).tolist() == [3, 3, 5]
     assert joined.boxes[0, 3:].abs().sum() == 0 and joined.objectness is None
-    assert joined.proposal_scores is not None and joined.proposal_scores.shape == (3, 5)
+    assert joined.other is not None and joined.other.shape == (3, 5)
 
 
 @pytest.mark.slow

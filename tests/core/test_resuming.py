@@ -111,13 +111,13 @@ def test_resuming_with_anything_else_is_refused_by_name(tmp_path):
 def test_a_run_of_an_earlier_version_resumes_with_the_defaults(tmp_path):
     done = run(tmp_path / "run")
     record = json.loads((tmp_path / "run" / "config.json").read_text())
-    for name in ("patience", "nps_weight"):
+    for name in ("blur", "nps_weight"):
         del record["settings"][name]
     del record["palette"]
     (tmp_path / "run" / "config.json").write_text(json.dumps(record))
     assert np.array_equal(run(tmp_path / "run", resume=True).colors, done.colors)
-    with pytest.raises(InputError, match=r"settings\.held_out = 0\.0, not 0\.2"):
-        run(tmp_path / "run", resume=True, held_out=0.2)
+    with pytest.raises(InputError, match=r"settings\.blur = 0\.0, not 0\.2"):
+        run(tmp_path / "run", resume=True, blur=0.2)
 
 
 def test_a_run_that_appears_meanwhile_is_gone_on_with(tmp_path, monkeypatch):

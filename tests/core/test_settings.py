@@ -19,7 +19,7 @@ from cloak_core.core.settings import (
 )
 from cloak_core.core.settings.components import OptimizerSettings, RunSettings
 from cloak_core.core.settings.retired import RETIRED
-from cloak_core.core.settings.values import Angles, Azimuths, Range, Weights
+from cloak_core.core.settings.values import Angles, Azimuths, Range
 from cloak_core.files.errors import InputError
 
 OLD_RUNS = Path(__file__).parents[1] / "old_versions" / "v0.1.0"
@@ -153,7 +153,8 @@ def test_ranges_of_azimuths():
 @pytest.mark.parametrize(
     ("name", "off", "on"),
     [("hard_views", 0.0, 0.5), ("occluders", 0, 2), ("zoom", "1", "0.8:1.2"), ("jpeg", None, "50:95"),
-     ("photometric_on", "logo", "render"), ("reduce", "max", "topk"), ("wrinkles", 0.0, 0.02), ("tint", 0.0, 0.2)],
+     ("photometric_on", "logo", "render"), ("reduce", "max", "topk"), ("wrinkles", 0.0, 0.02), ("tint", 0.0, 0.2),
+     ("held_out", 0.0, 0.2), ("patience", 0, 5)],
 )  # fmt: skip
 def test_a_retired_option_is_read_when_off_and_refused_in_one_line_when_on(name, off, on):
     assert make_settings("best", **{name: off}) == make_settings("best")
@@ -181,11 +182,10 @@ finite = st.floats(-300, 300, allow_nan=False).map(lambda x: round(x, 6) + 0.0)
 ranges = st.tuples(finite, finite).map(lambda pair: Range(min(pair), max(pair)))
 angles = st.lists(finite, min_size=1, max_size=6, unique=True).map(Angles)
 sweeps = ranges.filter(lambda r: 0 < r.width <= 360)
-weights = st.lists(st.floats(0, 1e6), min_size=1, max_size=5).filter(any).map(Weights)
 
 
 @runs(max_examples=50)
-@given(st.one_of(ranges, angles, weights, st.one_of(angles, sweeps).map(Azimuths)))
+@given(st.one_of(ranges, angles, st.one_of(angles, sweeps).map(Azimuths)))
 def test_values_are_read_as_they_are_spelled(value):
     assert type(value).parse(str(value)) == value
 
@@ -249,15 +249,12 @@ def from_command_line(tmp_path: Path, toml: str, *options: str) -> TrainSettings
     [
         ("momentum = 0.9", ["--optimizer", "sgd"], {"optimizer": "sgd", "momentum": 0.9, "schedule": "cosine"}),
         ('optimizer = "sgd"', ["--momentum", "0.9"], {"optimizer": "sgd", "momentum": 0.9}),
-        ('ensemble = "weighted"', ["--detector-weights", "1,3"], {"ensemble": "weighted", "detector_weights": "1,3"}),
-        ('detector-weights = "1,3"', ["--ensemble", "weighted"], {"detector_weights": "1,3"}),
         ("size = 64", ["--translation", "8"], {"size": 64, "translation": 8}),
         ("translation = 40", ["--size", "96", "--preset=reference"], {"size": 96, "translation": 40, "momentum": 0.9}),
         ("momentum = 0.5", ["--preset", "reference"], {"momentum": 0.5, "optimizer": "sgd"}),
         ('preset = "paper"', ["--steps", "9"], {"preset": "paper", "steps": 9, "epochs": None}),
         ("steps = 9", ["--epochs=2"], {"steps": None, "epochs": 2.0}),
         ("nps_weight = 1", ["--palette", "p.txt"], {"nps_weight": 1.0, "palette": "p.txt"}),
-        ("patience = 3", ["--held-out", "0.2"], {"patience": 3, "held_out": 0.2}),
         ("angles = 0", ["--angles", "-10:10:10"], {"angles": "-10:10:10"}),
         ("lr = 1\nangles = 0", ["--brightness", "-0.2:0"], {"lr": 1.0, "angles": "0", "brightness": "-0.2:0"}),
     ],
@@ -273,7 +270,6 @@ def test_preset_file_and_flags_are_merged_before_they_are_checked(tmp_path, toml
     [
         ("momentum = 0.9", [], "--momentum: Adam"),
         ("size = 64", [], "--translation: 50 px"),
-        ("", ["--ensemble", "weighted"], "--detector-weights"),
         ("", ["--steps", "3", "--epochs", "2"], "--steps and --epochs"),
         ("colour = 1", [], "some.toml: --colour: no such setting"),
         ('optimizer = "rmsprop"', [], "some.toml: --optimizer: 'rmsprop' is not one of sgd, adam, mi"),

@@ -196,16 +196,6 @@ def test_a_gradient_step_lowers_the_score(name: str, tmp_path: Path) -> None:
     assert before.max() < 1e-3 and bool((after < before).all())
 
 
-@pytest.mark.slow
-def test_proposal_scores_reach_the_images(tmp_path: Path) -> None:
-    detector = Case("fasterrcnn_mobilenet_v3_large_320_fpn", tmp_path).load()
-    batch = images(2, 120, 150).requires_grad_()
-    found = detector(batch)
-    assert found.proposal_scores is not None and found.proposal_scores.shape == found.scores.shape
-    (gradient,) = torch.autograd.grad(found.proposal_scores.max(dim=1).values.sum(), batch)
-    assert bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
-
-
 @pytest.mark.long
 def test_input_size_and_cut_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     detector = Case("retinanet_resnet50_fpn", tmp_path).load()

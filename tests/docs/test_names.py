@@ -18,8 +18,8 @@ DOTTED = re.compile(r"`((?:[a-z_]+\.)+\w+)`")
 MODULES = {path.relative_to(ROOT).with_suffix("").as_posix() for path in CORE.rglob("*.py")}
 MODULES |= {path.parent.relative_to(ROOT).as_posix() for path in CORE.rglob("__init__.py")}
 NAMES = {module.rsplit("/")[-1] for module in MODULES}
-ELSEWHERE = {"output.layout", "settings.held_out", "builtin.cfg", "builtin.weights"}
-"""Keys of a file, a variable's field, and files: their last part is also the name of a module."""
+ELSEWHERE = {"output.layout", "builtin.cfg", "builtin.weights"}
+"""Keys of a file, and files: their last part is also the name of a module."""
 WRITTEN = {"train.py"}
 """What users call a file of theirs."""
 

@@ -9,13 +9,13 @@ import pytest
 from PIL import Image, ImageCms
 
 from cloak_core import cli
-from cloak_core.bench import printing
 from cloak_core.cli import main
 from cloak_core.exchange.profiles import Profile, read_profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.products.calibration import chart, photograph
 from cloak_core.products.calibration.fitting import fit_profile, from_lab, interpolation, profile_of, read_patches
 from cloak_core.sources.bodies.logos.color_difference import de2000, lab, mean_difference
+from tests.products import synthetic_printer as printing
 from tests.schemas import validate
 
 # Pairs in CIELAB and their difference: the test data published with Sharma, Wu, Dalal (2005), table 1.

@@ -18,11 +18,9 @@ from cloak_core.core.evaluation.settings import JudgeSettings
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies import videos
 from cloak_core.sources.bodies.videos import save_film
-from cloak_core.studies import statistics_photographs
 from cloak_core.studies.judging.judge import judge
 from cloak_core.studies.judging.listing import list_subjects
-from cloak_core.studies.statistics_photographs import clean_scores, independent_pairs, plan
-from tests.schemas import validate
+from cloak_core.studies.statistics_photographs import clean_scores
 
 BLUE, GREEN, RED = (20, 20, 230), (20, 230, 20), (230, 20, 20)
 """Seen surely; seen hardly; seen, but only from a threshold of 0.5 on."""
@@ -235,15 +233,6 @@ def test_bad_lists_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_plan_narrows_with_people_and_scenes() -> None:
-    rows = plan((4, 8), (4, 12), (1, 3), (0.5,))
-    points = {(row["people"], row["scenes"], row["each"]): row["points"]["0.5"] for row in rows}
-    assert points[8, 12, 1] < points[4, 12, 1] < points[4, 4, 1]
-    assert points[4, 4, 3] > points[8, 12, 1]  # the same people once more say little
-    assert independent_pairs(0.5) == 93 and independent_pairs(0.9) < 60
-
-
-@pytest.mark.slow
 def test_the_command_says_what_the_contract_promises(
     tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -275,20 +264,6 @@ def test_a_video_that_breaks_off_is_left_out_whole(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(videos, "read_frames", broken)
     told = see(tmp_path)
     assert told["skipped"] == ["with/2.mp4: breaks off"] and told["pictures"] == 2 and told["with"]["n_all"] == 1
-
-
-def test_a_plan_is_what_the_schema_says_and_explains_itself(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    monkeypatch.setattr(statistics_photographs, "_half_width", lambda *_, **__: 0.2)
-    for more in (["--json"], []):
-        with pytest.raises(SystemExit) as end:
-            main(["judge", "--plan", *more])
-        assert not end.value.code
-        told = capsys.readouterr().out
-        if more:
-            assert {row["people"] for row in validate("judge", told)["plan"]} == {1, 2, 4, 8, 12}
-    assert "it may widen when the first" in told and "8 people in 8 scenes" in told
 
 
 def test_of_several_clean_pictures_most_must_be_found() -> None:

@@ -15,7 +15,7 @@ from cloak_core.studies import training_store
 from cloak_core.studies.data_split import DataSplit, open_data_split
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Training, TrainingStore, content_key
-from cloak_core.studies.trainings.material import TrainingData
+from cloak_core.studies.trainings.run_record import TrainingData
 from cloak_core.studies.trainings.training import training_config
 from tests.studies.made_split import Glow, make_options, make_split
 

@@ -2,9 +2,6 @@
 
 import csv
 import json
-import re
-from collections import Counter
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -223,25 +220,3 @@ BAD = {
 def test_colours_that_cannot_be_worn_are_named(red, words):
     with pytest.raises(InputError, match=words):
         read_clothes(BAD[words].format(red=red))
-
-
-def test_pairs_for_raters_do_not_say_what_is_what(people, red, tmp_path):
-    settings = replace(SMALL, pairs=7)
-    wear(
-        [f"{red}@tile=0.5", f"{red}@patch=0.3"],
-        people,
-        {"body": BodyDetector()},
-        out=tmp_path / "out",
-        settings=settings,
-    )
-    page = (tmp_path / "out/rate.html").read_text("utf-8")
-    with (tmp_path / "out/rate-key.csv").open() as file:
-        key = list(csv.DictReader(file))
-    assert len(key) == 7 and page.count("<img") == 14 and page.count('type="radio"') == 21
-    assert not any(told in re.sub('base64,[^"]+', "", page) for told in ("red@", "tile=", "patch=", "clothing"))
-    asked = Counter(frozenset((row["left"], row["right"])) for row in key)
-    assert len(asked) == 3 and max(asked.values()) - min(asked.values()) <= 1
-    assert len({(row["left"], row["right"], row["person"]) for row in key}) == 7  # nothing is asked twice
-    assert {row["person"] for row in key} <= {person.name for person in people.people}
-    with pytest.raises(InputError, match="--pairs: needs --out"):
-        wear([f"{red}@tile=0.5"], people, {"body": BodyDetector()}, settings=settings)

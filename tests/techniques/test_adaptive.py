@@ -7,7 +7,6 @@ import torch
 from cloak_core.core.ensemble import Ensemble
 from cloak_core.techniques.adaptive import Adaptive
 from tests.core.fakes import TinyDetector, techniques_of, tiny_settings
-from tests.core.test_ensemble import asked
 
 
 def ensemble_of(count: int, **changes: object) -> tuple[Ensemble, Adaptive]:
@@ -29,8 +28,7 @@ def test_an_adaptive_ensemble_weighs_most_what_still_sees():
         adaptive.observe({0: 0.0, 1: 0.2, 2: 1.0})
     assert ensemble.weights.sum() == pytest.approx(1)
     assert ensemble.weights[2] > 0.9 and ensemble.weights[1] > ensemble.weights[0] > 0
-    losses = {number: torch.full((2,), float(number == 2)) for number in range(3)}
-    assert ensemble.combine(losses, 3).tolist() == pytest.approx([ensemble.weights[2]] * 2)
+    assert ensemble.weight(2, asked=3) == pytest.approx(ensemble.weights[2])
     other = Adaptive(3)
     other.load(adaptive.state())
     assert np.array_equal(other.weights(), adaptive.weights())
@@ -40,11 +38,10 @@ def test_an_adaptive_ensemble_weighs_most_what_still_sees():
 
 def test_an_adaptive_subset_asks_those_more_often_that_still_see():
     ensemble, adaptive = ensemble_of(3, detectors_per_step=1)
-    count = lambda: np.bincount([asked(ensemble, step)[0] for step in range(300)], minlength=3)
+    count = lambda: np.bincount([ensemble.asked(step)[0] for step in range(300)], minlength=3)
     assert count().min() > 70
     for _ in range(40):
         adaptive.observe({0: 0.0, 1: 0.9, 2: 0.0})
     drawn = count()
     assert drawn[1] > 150 and drawn[[0, 2]].min() > 30
-    loss = {1: torch.ones(4)}
-    torch.testing.assert_close(ensemble.combine(loss, 1), torch.ones(4))
+    assert ensemble.weight(1, asked=1) == pytest.approx(1)

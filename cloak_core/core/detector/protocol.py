@@ -27,9 +27,6 @@ class Detections(NamedTuple):
     """Probability of any object, 0..1; None where the family has none."""
     is_person: Bool[Tensor, "B N"] | None = None
     """Person is the likeliest class of this box; None where there is no objectness."""
-    proposal_scores: Float[Tensor, "B N"] | None = None
-    """Two-stage families: the first stage's probability that the proposal behind this box is an object, differentiable.
-    A cloak that lowers it kills the proposal itself."""
     other: Float[Tensor, "B N"] | None = None
     """As `scores`, of the likeliest class beside the person; None where the detector knows or tells of no other class.
     Families that place each class apart give rows of a person alone (other 0) and of another class alone (score 0)."""

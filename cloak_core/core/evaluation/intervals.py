@@ -16,7 +16,7 @@ and a binomial interval is far too narrow. The interval is the widest of three:
   n tested bodies hold none of them with probability (1 - q)^n; at q = 1 - 0.05^(1/n) that is one time in twenty (the
   exact zero-event bound; Hanley and Lippman-Hand, JAMA 249(13), 1983). The interval reaches from p (1 - q) to
   p + (1 - p) q. Without this part, intervals at rates near 1 covered the truth 48 to 85 times in 100 where one
-  body in ten is never hidden; with it, at least 98 times (`cloak bench intervals`, docs/reports/intervals.md).
+  body in ten is never hidden; with it, at least 98 times (docs/reports/intervals.md).
 
 With one body (or one background, or one seed) nothing can be said about others: the interval then speaks of that one
 alone.

@@ -167,9 +167,6 @@ class WearSettings:
     """Backgrounds without people on which false alarms are counted."""
     batch: Annotated[int, Bounds(1, 1024)] = 8
     """Images that a detector sees at a time."""
-    pairs: Annotated[int, Bounds(0, 1000)] = 0
-    """With --out: write rate.html, at most this many pairs of COLORS and own clothing on the same person, for people to
-    compare who do not know what is what, and rate-key.csv, its key."""
 
 
 QUICK_STEPS = 150

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.prints import PRINTS
-from cloak_core.core.settings.values import Angles, Azimuths, Bounds, NotNegative, Positive, Range, Weights
+from cloak_core.core.settings.values import Angles, Azimuths, Bounds, NotNegative, Positive, Range
 from cloak_core.core.technique import choices, with_techniques
 from cloak_core.core.visibility.settings import RenderOptions
 from cloak_core.files.errors import InputError
@@ -44,12 +44,6 @@ class RunSettings:
     rounding."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
     """Stop after this much training time, seconds, with a checkpoint to resume from."""
-    held_out: Annotated[float, Bounds(0, 0.5)] = 0.0
-    """Share of the training poses and backgrounds that is set aside to choose the best colours."""
-    held_out_every: Annotated[int, Bounds(1, 10_000_000)] = 50
-    """Steps between measurements on the held-out share."""
-    patience: Annotated[int, Bounds(0, 10_000_000)] = 0
-    """Stop after this many measurements in a row without improvement; 0 trains to the end."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """Every random draw derives from it."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
@@ -65,8 +59,6 @@ class RunSettings:
         """Check that values go together. InputError: they do not."""
         if (self.epochs is None) == (self.steps is None):
             raise InputError("--steps and --epochs: give one of them")
-        if self.patience and not self.held_out:
-            raise InputError("--patience: needs a share to be set aside, --held-out 0.2 for instance")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +114,7 @@ class AugmentationSettings:
 
 Loss = Literal["score", "objectness", "log", "margin"]
 Hide = Literal["person", "everything"]
-EnsembleKind = Literal[("mean", "max", "weighted", *choices("ensemble"))]
+EnsembleKind = Literal[("mean", *choices("ensemble"))]
 OptimizerKind = Literal[("sgd", "adam", *choices("optimizer"))]
 
 
@@ -140,23 +132,14 @@ class LossSettings:
     margin: NotNegative = 1.0
     """For --loss margin: logits below the operating point at which half of the gradient is left. A larger margin hides
     from more of the detectors that training never saw."""
-    rpn_weight: NotNegative = 0.0
-    """For two-stage detectors: weight of the first stage's objectness of the proposals behind person boxes."""
     ensemble: EnsembleKind = "mean"
-    """How the losses of several detectors are combined: mean; max, the detector that sees most; weighted, by
-    --detector-weights; adaptive, by how surely each detector found a person lately."""
-    detector_weights: Weights | None = None
-    """For --ensemble weighted: one weight per detector, A,B,C. Only their ratios count."""
+    """How the losses of several detectors are combined: their mean, or adaptive, by how surely each detector found a
+    person lately."""
     detectors_per_step: Annotated[int | None, Bounds(1, 4096)] = None
     """Ask at most this many detectors in each step, drawn at random; None asks all."""
     tv_weight: NotNegative = 2.5
     """Weight of total variation: the sum over inner edges of length (metres) times colour difference, divided by the
     number of the logo's faces."""
-
-    def check(self) -> None:
-        """Check that values go together. InputError: they do not."""
-        if (self.ensemble == "weighted") != (self.detector_weights is not None):
-            raise InputError("--ensemble weighted and --detector-weights: one needs the other")
 
 
 @with_techniques("pattern")

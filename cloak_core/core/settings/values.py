@@ -164,22 +164,6 @@ class Azimuths(Parsable):
         return str(self.of) if isinstance(self.of, Angles) else _spelled((self.of.low, self.of.high), "..")
 
 
-class Weights(tuple[float, ...], Parsable):
-    """A weight for each of several things: none negative, not all zero."""
-
-    metavar = "A,B,C"
-
-    @classmethod
-    def parse(cls, text: str) -> Weights:
-        weights = cls(_numbers(text, ","))
-        if min(weights) < 0 or not max(weights) > 0:
-            raise ValueError(f"{text!r} holds a negative weight, or none that counts")
-        return weights
-
-    def __str__(self) -> str:
-        return _spelled(self, ",")
-
-
 def _numbers(text: str, separator: str | None, whole: str | None = None) -> tuple[float, ...]:
     """Read the finite numbers in a text (of `whole`, for the message)."""
     numbers = []

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from cloak_core.core.cameras import Number, Vector
-from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
 
 GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
@@ -55,8 +54,6 @@ class RenderSettings(RenderOptions):
     """A torch device or its name."""
     memory_bytes: int = 2 << 30
     """Budget for views kept in memory."""
-    files: DiskCache | None = None
-    """Where views are kept between runs (see view_files.py); None: nowhere."""
 
     def __post_init__(self) -> None:
         if self.samples is not None and self.samples not in GRIDS:
@@ -76,8 +73,3 @@ class RenderSettings(RenderOptions):
     def grid(self) -> int:
         """Samples along each side of a pixel."""
         return AREA_GRID if self.samples is None else GRIDS[self.samples]
-
-    @property
-    def recipe(self) -> dict[str, object]:
-        """What of the settings decides a view's numbers."""
-        return {field.name: getattr(self, field.name) for field in fields(RenderOptions)} | {"light": self.light}

@@ -25,7 +25,7 @@ class TwoStageDetector(TorchvisionDetector):
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         batch, placement = self.prepare(images)
         features = self.features(batch)
-        proposals, objectness = self.propose(batch, features, *self.of_anchors(features))
+        proposals = self.propose(batch, features, *self.of_anchors(features))
         logits, deltas = self.of_proposals(batch, features, proposals)
         size, places, counts = batch.image_sizes[0], torch.cat(proposals), [len(part) for part in proposals]
 
@@ -34,11 +34,7 @@ class TwoStageDetector(TorchvisionDetector):
 
         classes = logits.softmax(dim=-1)
         boxes, scores = self._boxes(deltas[:, self.person], places, classes[:, self.person], size)
-        found = Detections(
-            boxes=padded(placement.restore(boxes)),
-            scores=padded(scores),
-            proposal_scores=pad_sequence(objectness, batch_first=True),
-        )
+        found = Detections(boxes=padded(placement.restore(boxes)), scores=padded(scores))
         other = best_other(classes[None], self.person, self.first_class)
         if other.scores is None:
             return found
@@ -50,7 +46,6 @@ class TwoStageDetector(TorchvisionDetector):
         return Detections(
             boxes=torch.cat([found.boxes, padded(placement.restore(boxes))], dim=1),
             scores=F.pad(found.scores, (0, count)),
-            proposal_scores=found.proposal_scores.repeat(1, 2),
             other=F.pad(more, (count, 0)),
             other_class=F.pad(padded(number), (count, 0)),
         )
@@ -95,24 +90,20 @@ class TwoStageDetector(TorchvisionDetector):
         features: dict[str, Float[Tensor, "B C _ _"]],
         logits: list[Float[Tensor, "B _ _ _"]],
         deltas: list[Float[Tensor, "B _ _ _"]],
-    ) -> tuple[list[Float[Tensor, "_ 4"]], list[Float[Tensor, " _"]]]:
-        """Choose each image's proposals from `of_anchors`, best first, with their differentiable objectness.
-
-        The proposals are constants, as in the model.
-        """
+    ) -> list[Float[Tensor, "_ 4"]]:
+        """Choose each image's proposals from `of_anchors`, best first; constants, as in the model."""
         rpn = self.model.rpn
         anchors = rpn.anchor_generator(batch, list(features.values()))
         counts = [level[0].numel() for level in logits]
         flat_logits, flat_deltas = concat_box_prediction_layers(logits, deltas)
         boxes = rpn.box_coder.decode(at_least_float32(flat_deltas.detach()), anchors).view(len(anchors), -1, 4)
-        objectness = at_least_float32(flat_logits).view(len(anchors), -1).sigmoid()
-        proposals, scores = [], []
+        objectness = at_least_float32(flat_logits.detach()).view(len(anchors), -1).sigmoid()
+        proposals = []
         for image_boxes, image_scores, size in zip(boxes, objectness, batch.image_sizes, strict=True):
             clipped = clip_boxes_to_image(image_boxes, size)
-            kept = self._keep(clipped, image_scores.detach(), counts)
+            kept = self._keep(clipped, image_scores, counts)
             proposals.append(clipped[kept])
-            scores.append(image_scores[kept])
-        return proposals, scores
+        return proposals
 
     @torch.no_grad()
     def _keep(self, boxes: Float[Tensor, "A 4"], scores: Float[Tensor, " A"], counts: list[int]) -> Int[Tensor, " n"]:

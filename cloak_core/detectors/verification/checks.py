@@ -92,7 +92,7 @@ def shapes(subject: Subject) -> Finding:
 def ranges(subject: Subject) -> Finding:
     """Check that every probability lies in [0, 1]."""
     found, said, passed = subject.detector(next(subject.batches())), [], True
-    for name in ("scores", "objectness", "proposal_scores", "other"):
+    for name in ("scores", "objectness", "other"):
         values = getattr(found, name)
         if values is None or not values.numel():
             continue

@@ -19,7 +19,6 @@ from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.sources.bodies.view_files import view_files
 
 FRESH_VIEWS_BYTES = 128 << 20
 """Memory for views that are used once."""
@@ -98,10 +97,8 @@ class BodySource:
         self.is_fresh = self.plan.is_fresh
         self.draw = self.plan.draw
         if view_cache is None:
-            # Kept for the next run, unless each image has a camera of its own.
             fresh = {"samples": settings.samples or FRESH_SAMPLES, "memory_bytes": FRESH_VIEWS_BYTES}
-            limits = fresh if self.is_fresh else {"files": view_files()}
-            view_settings = RenderSettings.of(settings, device=device, **limits)
+            view_settings = RenderSettings.of(settings, device=device, **(fresh if self.is_fresh else {}))
             view_cache = ViewCache(bodies, view_settings, on_cloth=worn.cloth is not None)
         self.view_cache = view_cache
 

@@ -28,7 +28,6 @@ from cloak_core.core.visibility.threads import one_thread, spread, workers
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import MemoryCache
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.view_files import StoredViews
 
 BAND_SAMPLES = {"cpu": 1 << 21, "cuda": 1 << 25}
 """Samples of a view held at once; more on the CPU leave its caches and take longer."""
@@ -70,29 +69,18 @@ class ViewCache:
         self._normals = NormalOperator(self._surface.triangles, bodies.vertex_count)
         self._outward = outward_parts(bodies)
         self._kept = MemoryCache(self.settings.memory_bytes)
-        files, recipe = self.settings.files, self.settings.recipe
-        self._stored = None if files is None else StoredViews(files, bodies, recipe, self._surface, self.device)
 
     def view(self, pose: int, camera: Camera) -> View:
-        """Return the view, from memory or the files where it was built before."""
+        """Return the view, from memory where it was built before."""
         return self.views([(pose, camera)])[0]
 
     def views(self, keys: Sequence[Key]) -> list[View]:
         """Many views; those not built before are built together."""
-        by_key = {key: self._find(*key) for key in keys}
+        by_key = {key: self._kept.get(("view", *key)) for key in keys}
         new = [key for key, view in by_key.items() if view is None]
         for key, view in zip(new, self.build(new) if new else [], strict=True):
             by_key[key] = self._kept.put(("view", *key), view)
-            if self._stored is not None:
-                self._stored.put(*key, view)
         return [by_key[key] for key in keys]
-
-    def _find(self, pose: int, camera: Camera) -> View | None:
-        view = self._kept.get(("view", pose, camera))
-        if view is None and self._stored is not None:
-            view = self._stored.get(pose, camera)
-            return None if view is None else self._kept.put(("view", pose, camera), view)
-        return view
 
     def bake(self, pose: int, camera: Camera, logo_faces: object, outfit: int = 0) -> BakedView:
         """Bake everything but the logo's colours (faces [L], int64) into the view, in one of the outfits."""

@@ -62,10 +62,6 @@ class Fits(Sequence[Fit]):
         """Read one fit after the other."""
         return map(self._read, self.people)
 
-    def select(self, indices: Iterable[int]) -> Fits:
-        """Take some people, in this order."""
-        return Fits((self.people[index] for index in indices), self._read)
-
     def expect(self, indices: Iterable[int]) -> None:
         """Have the system read photographs and fits of these people ahead of need."""
         for index in indices:
@@ -144,7 +140,7 @@ def fit_people(
             done += len(outcome.result)
             if on_progress is not None:
                 on_progress(done, len(people))
-    fitting = [person for person in people.people if _covers(shelf.quality(person))]
+    fitting = [person for person in people.people if fits_well(shelf.quality(person))]
     if not fitting and len(people):
         raise InputError(f"{people.name}: the body fits none of its {len(people)} people (landmarks of other people?)")
     return Fits(fitting, shelf)
@@ -165,12 +161,8 @@ def people_identity(people: Iterable[Person]) -> str:
     return sha256_record([person_identity(person) for person in people])
 
 
-def fits_well(fit: Fit) -> bool:
-    """Tell whether the body covers a person's mask well enough to lay colours onto it."""
-    return _covers(fit.quality)
-
-
-def _covers(quality: Mapping[str, float]) -> bool:
+def fits_well(quality: Mapping[str, float]) -> bool:
+    """Tell whether the body covers a person's mask well enough to lay colours onto it (`Fit.quality`)."""
     return quality["covered"] >= LEAST_COVERED and quality["spilled"] <= MOST_SPILLED
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from cloak_core.detectors import builtin
@@ -17,10 +17,10 @@ from cloak_core.detectors.darknet.weights import write_darknet
 from cloak_core.detectors.pixels import fit
 from cloak_core.files.writing import write_text
 from cloak_core.studies.hardening.distillation import distance
-from cloak_core.studies.hardening.student import Student
+from cloak_core.studies.hardening.student import AnsweringStudent
 
 
-class DarknetStudent(Student):
+class DarknetStudent(AnsweringStudent):
     """The built-in detector or any .cfg and .weights."""
 
     files = (".cfg", ".weights")
@@ -42,25 +42,19 @@ class DarknetStudent(Student):
     def network(self) -> nn.Module:
         return self.detector.network
 
-    def maps(self, detector: DarknetDetector, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
-        """What a detector's heads say of images, before any activation."""
+    def answer(self, detector: DarknetDetector, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
         inputs, _ = fit(images, detector.network.input_size, detector.letterbox)
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16"):
+        with self.autocast(images):
             return detector.network(inputs.contiguous(memory_format=detector.memory_format))
 
-    @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> list[Float[Tensor, "B _ _ _"]]:
-        return [raw[rows] for raw in self.maps(self.teacher, images)]
-
-    def distance(
+    def compare(
         self,
-        images: Float[Tensor, "B 3 H W"],
+        said: list[Float[Tensor, "B _ _ _"]],
         wanted: list[Float[Tensor, "B _ _ _"]],
-        surer: Bool[Tensor, " B"] | None = None,
-        sure: float = 0.0,
+        surer: Bool[Tensor, " B"] | None,
+        sure: float,
     ) -> Float[Tensor, " B"]:
         own = self.detector
-        said = self.maps(own, images)
         return distance(own.network.heads, said, wanted, own.person, surer, sure, own.operating_point)
 
     def save(self, stem: Path, seen: int) -> str:

@@ -6,7 +6,7 @@ config.json  events.jsonl  checkpoint/  hardened.* (files of the detector's fami
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,14 +15,12 @@ from cloak_core.core.checkpoints import remove_unfinished
 from cloak_core.core.detector.protocol import detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import is_taken, new_folder, write_json, written
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import people_identity
 from cloak_core.sources.photographs.people import People
-from cloak_core.studies.hardening.pool import Given
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.trainings.run_record import environment
@@ -52,7 +50,6 @@ def harden_config(
     bodies: Bodies,
     backgrounds: Backgrounds,
     photographs: Backgrounds | None,
-    given: Sequence[Given],
     people: People | None = None,
 ) -> dict:
     """config.json: what decides the result, and where it ran."""
@@ -65,7 +62,6 @@ def harden_config(
         "backgrounds": backgrounds.identities(),
         "photographs": None if photographs is None else photographs.identities(),
         "people": None if people is None else people_identity(people),
-        "cloaks": [sha256_arrays(one.logo.face_ids, one.colors) for one in given],
         "environment": environment(),
     }
 
@@ -105,10 +101,12 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
         raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin in another --out")
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")
+    if recorded.get("cloaks"):
+        raise InputError(f"{path}: was begun with --cloak, which this version does not have; begin in another --out")
     before, now = (
         {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
         | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
-        | {name: c.get(name) for name in ("backgrounds", "photographs", "people", "cloaks")}
+        | {name: c.get(name) for name in ("backgrounds", "photographs", "people")}
         for c in (recorded, config)
     )
     for name, value in now.items():

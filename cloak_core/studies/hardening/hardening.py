@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,7 @@ from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.hardening.folder import HardenFolder, harden_config, open_folder
 from cloak_core.studies.hardening.pictures import Decoys, Pictures
-from cloak_core.studies.hardening.pool import Given, Pool
+from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 
@@ -67,7 +66,6 @@ def harden(
     *,
     photographs: Backgrounds | None = None,
     people: People | None = None,
-    given: Sequence[Given] = (),
     resume: bool = False,
     on_event: OnEvent | None = None,
 ) -> HardenResult:
@@ -75,14 +73,14 @@ def harden(
     events.jsonl and checkpoint/ as a training's run has them.
 
     photographs: pictures of which the detector is to report what it reported; no labels. people: those who can be
-    dressed; in cloaks they are to be reported as in their own clothes. given: cloaks that are there already. SIGINT,
-    SIGTERM, a file `cancel` in `out` or the time budget end it after the current step; `resume` goes on from there.
+    dressed; in cloaks they are to be reported as in their own clothes. SIGINT, SIGTERM, a file `cancel` in `out` or the
+    time budget end it after the current step; `resume` goes on from there.
     InputError: `out` exists without `resume`, or was begun with something else.
     """
     fits = [] if people is None else fit_people(people)
-    pool = Pool(settings, bodies, backgrounds, student.detector, given, fits)
+    pool = Pool(settings, bodies, backgrounds, student.detector, fits)
     pictures = Pictures(pool, photographs, student.teacher)
-    config = harden_config(settings, student, bodies, backgrounds, photographs, given, people)
+    config = harden_config(settings, student, bodies, backgrounds, photographs, people)
     with (
         open_folder(Path(out), config, resume) as folder,
         stop_request(folder.cancel, settings.max_seconds) as stop,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from cloak_core.detectors.classes import COCO, VOC, names_beside
@@ -17,10 +16,10 @@ from cloak_core.files.reading import read_bytes
 from cloak_core.files.writing import write_bytes, write_text
 from cloak_core.studies.hardening.answers import Answer
 from cloak_core.studies.hardening.scores import answer_of, score_distance
-from cloak_core.studies.hardening.student import Student
+from cloak_core.studies.hardening.student import AnsweringStudent
 
 
-class OnnxStudent(Student):
+class OnnxStudent(AnsweringStudent):
     """A converted graph whose boxes stand in an order that its weights do not change.
 
     Normalisations that the file has folded into its convolutions stay folded and learn with them.
@@ -37,26 +36,18 @@ class OnnxStudent(Student):
     def answer(self, detector: OnnxDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
         """Read every box of a detector's outputs: scores of all classes, as its runtimes report them."""
         inputs, _ = fit(images, detector.input_size, detector.letterbox, detector.fill)
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16"):
+        with self.autocast(images):
             decoded = detector.answer(detector.pixels.apply(inputs))
         scores = decoded.classes
         if decoded.objectness is not None:
             scores = scores * decoded.objectness[..., None]
         return answer_of(scores, decoded.boxes)
 
-    @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer:
-        return self.answer(self.teacher, images).of(rows)
-
-    def distance(
-        self,
-        images: Float[Tensor, "B 3 H W"],
-        wanted: Answer,
-        surer: Bool[Tensor, " B"] | None = None,
-        sure: float = 0.0,
+    def compare(
+        self, said: Answer, wanted: Answer, surer: Bool[Tensor, " B"] | None, sure: float
     ) -> Float[Tensor, " B"]:
         own = self.detector
-        return score_distance(self.answer(own, images), wanted, own.person, own.operating_point, surer, sure)
+        return score_distance(said, wanted, own.person, own.operating_point, surer, sure)
 
     def save(self, stem: Path, seen: int) -> str:
         """See `Student.save`. InputError: the file that was begun with is there no more, or has changed."""

@@ -69,19 +69,16 @@ class Pictures:
         return Decoys(shown.to(self.pool.device), without.to(self.pool.device))
 
     def textures(self, rng: np.random.Generator) -> Iterator[Texture]:
-        """Draw what decoys show: cloaks as they are, finished and given ones, and patterns that nobody trained."""
-        cloaks, finished, given = self.pool.cloaks, self.pool.finished, self.pool.given
+        """Draw what decoys show: cloaks as they are, finished ones, and patterns that nobody trained."""
+        cloaks, finished = self.pool.cloaks, self.pool.finished
         slots = sorted(cloaks)  # a resumed hardening made them in another order
-        odds = np.cumsum([len(slots), SHOWN if finished else 0, bool(given), UNTRAINED])
+        odds = np.cumsum([len(slots), SHOWN if finished else 0, UNTRAINED])
         while True:
             kind = np.searchsorted(odds, rng.integers(odds[-1]), side="right")
             if kind == 0:
                 yield cloaks[slots[rng.integers(len(slots))]].texture()
             elif kind == 1:
                 yield finished[rng.integers(len(finished))]
-            elif kind == 2:
-                chosen = given[rng.integers(len(given))]
-                yield self.pool.flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32))
             else:
                 yield random_texture(rng, lambda: self._part(rng, photograph=False))
 

@@ -6,7 +6,6 @@ import itertools
 import statistics
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from cloak_core.files.reading import read_json
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.hardening.hardening import harden
-from cloak_core.studies.hardening.pool import FINISH, Given, Pool
+from cloak_core.studies.hardening.pool import FINISH, Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 
@@ -66,7 +65,6 @@ def measure_pace(
     *,
     photographs: Backgrounds | None = None,
     people: People | None = None,
-    given: Sequence[Given] = (),
 ) -> Pace:
     """Try a hardening in a folder of its own, and leave the student as it was. Arguments as for `harden`.
 
@@ -77,7 +75,7 @@ def measure_pace(
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tried"
         try:
-            tried = harden(few, student, bodies, backgrounds, out, photographs=photographs, people=people, given=given)
+            tried = harden(few, student, bodies, backgrounds, out, photographs=photographs, people=people)
         finally:
             student.network.load_state_dict(before)
         if tried.stopped:

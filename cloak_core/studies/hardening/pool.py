@@ -48,9 +48,9 @@ SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
 NO_PATTERN: Mapping[str, str | float] = {}
 """Colours of faces, which do not repeat."""
-GIVEN, GOES_ON = 0.5, 0.75
-"""How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
-their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
+GOES_ON = 0.75
+"""How many new cloaks begin with the colours that earlier ones of their slot ended with on the same faces. A cloak's
+life is short: without this none would ever be strong."""
 WHOLE_BODY = 2
 """One cloak in this many covers the whole body, the largest logo that an attacker has. Without this rule the largest of
 200 drawn logos covered four fifths of a body, and the hardened detector fell to a cloak over all of it."""
@@ -60,14 +60,6 @@ KEPT = 32
 """So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
 _LOGO, _VIEWS, _CLOTH = 1, 2, 6
 """Streams of random numbers; `pictures` and `hardening` have others."""
-
-
-@dataclass(frozen=True, eq=False)
-class Given:
-    """A finished cloak to be hardened against: colours [L, 3] of a logo."""
-
-    logo: Logo
-    colors: np.ndarray
 
 
 @dataclass(eq=False)
@@ -134,11 +126,10 @@ class Pool:
         bodies: Bodies,
         backgrounds: Backgrounds,
         detector: Detector,
-        given: Sequence[Given] = (),
         people: Sequence[Fit] = (),
     ) -> None:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
-        self.given, self.people = tuple(given), Fits.of(people)
+        self.people = Fits.of(people)
         if self.people:
             faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
         self.device = torch.device(detector.device)
@@ -209,10 +200,6 @@ class Pool:
                 image.copy_(compose([view], clothing, torch.zeros_like(image)[None])[0])
         return Pair(cloaked, clean)
 
-    def flat(self, logo: Logo) -> FlatCloth:
-        """The logo, laid flat."""
-        return FlatCloth(self.centres[logo.face_ids], face_normals(self.bodies)[logo.face_ids])
-
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint; which logo a cloak has follows from the turn."""
         kept = {f"skin.{slot}": skin for slot, skin in self.skins.items()}
@@ -239,18 +226,13 @@ class Pool:
         rng = np.random.default_rng([self.settings.seed, _LOGO, slot, generation])
         cloth = np.random.default_rng([self.settings.seed, _CLOTH, slot, generation])
         pattern: dict[str, str | float] = {}
-        if self.given and rng.random() < GIVEN:
-            chosen = self.given[rng.integers(len(self.given))]
-            logo, colors = chosen.logo, chosen.colors
-        else:
-            whole = (slot + generation) % WHOLE_BODY == WHOLE_BODY - 1  # one slot after the other
-            faces = np.arange(self.bodies.face_count) if whole else draw_logo(self.bodies, rng)
-            logo = make_logo(self.bodies, faces)
-            colors = draw_colors(self.centres[logo.face_ids].astype(np.float32), rng)
-            if slot in self.skins and rng.random() < GOES_ON:
-                colors = self.skins[slot].cpu().numpy()[logo.face_ids]
-            if cloth.random() < self.settings.cloths:
-                pattern = draw_pattern(cloth)
+        whole = (slot + generation) % WHOLE_BODY == WHOLE_BODY - 1  # one slot after the other
+        logo = make_logo(self.bodies, np.arange(self.bodies.face_count) if whole else draw_logo(self.bodies, rng))
+        colors = draw_colors(self.centres[logo.face_ids].astype(np.float32), rng)
+        if slot in self.skins and rng.random() < GOES_ON:
+            colors = self.skins[slot].cpu().numpy()[logo.face_ids]
+        if cloth.random() < self.settings.cloths:
+            pattern = draw_pattern(cloth)
         settings = self._train_settings(slot, pattern)
         worn = Worn.of(settings.pattern, self.bodies, logo)
         colors = first_cloth(worn, cloth) if pattern else colors
@@ -262,7 +244,7 @@ class Pool:
             self._batcher(settings, Worn(self.bodies, logo)) if pattern else batcher,
             Objective(settings, worn.bordered, [self.detector], self.device),
             ColorOptimizer(settings.optimization, torch.from_numpy(np.array(colors, np.float32)).to(self.device)),
-            self.flat(logo),
+            FlatCloth(self.centres[logo.face_ids], face_normals(self.bodies)[logo.face_ids]),
         )
 
     def _batcher(self, settings: TrainSettings, worn: Worn) -> Batcher:

@@ -5,16 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from cloak_core.core.detector.protocol import Detections
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import replace_file, write_text
 from cloak_core.studies.hardening.answers import Answer
 from cloak_core.studies.hardening.scores import answer_of, score_distance
-from cloak_core.studies.hardening.student import NAME, Student
+from cloak_core.studies.hardening.student import NAME, AnsweringStudent
 
 LOADER = '''"""{function}() of {file} with the hardened weights beside this file."""
 
@@ -38,7 +37,7 @@ def {function}() -> torch.nn.Module:
 '''
 
 
-class PythonStudent(Student):
+class PythonStudent(AnsweringStudent):
     """A torch module that answers the same boxes in the same order whatever its weights are.
 
     InputError: another runtime runs it, or no gradient reaches its parameters.
@@ -65,25 +64,24 @@ class PythonStudent(Student):
     def network(self) -> nn.Module:
         return self.detector.module
 
-    @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer:
-        return _answer(self.teacher.detect(images)).of(rows)
+    def answer(self, detector: PythonDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
+        # The teacher's precision is its own.
+        half = detector.precision == "bfloat16"
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=half):
+            found = detector.detect(images)
+        scores = found.scores.unsqueeze(-1)
+        if found.other is not None:
+            scores = torch.stack([found.scores, found.other], dim=-1)
+        return answer_of(scores, found.boxes)
 
-    def distance(
-        self,
-        images: Float[Tensor, "B 3 H W"],
-        wanted: Answer,
-        surer: Bool[Tensor, " B"] | None = None,
-        sure: float = 0.0,
+    def compare(
+        self, said: Answer, wanted: Answer, surer: Bool[Tensor, " B"] | None, sure: float
     ) -> Float[Tensor, " B"]:
-        own = self.detector
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=own.precision == "bfloat16"):
-            answer = _answer(own.detect(images))
-        if answer.boxes.shape != wanted.boxes.shape:
+        if said.boxes.shape != wanted.boxes.shape:
             raise InputError(
                 f"harden {self.spec}: answers other numbers of boxes for other weights; return them all, unsuppressed"
             )
-        return score_distance(answer, wanted, 0, own.operating_point, surer, sure)
+        return score_distance(said, wanted, 0, self.detector.operating_point, surer, sure)
 
     def save(self, stem: Path, seen: int) -> str:
         file, function = self.request.parts
@@ -92,8 +90,3 @@ class PythonStudent(Student):
         path = str(Path(file).expanduser().absolute())
         write_text(stem.with_suffix(".py"), LOADER.format(function=function, file=path, weights=f"{NAME}.pth"))
         return f"python:{stem.with_suffix('.py')}:{function}{self.options}"
-
-
-def _answer(found: Detections) -> Answer:
-    scores = found.scores if found.other is None else torch.stack([found.scores, found.other], dim=-1)
-    return answer_of(scores.unsqueeze(-1) if found.other is None else scores, found.boxes)

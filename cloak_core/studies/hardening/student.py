@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, ClassVar
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
@@ -13,6 +14,7 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.writing import write_text
+from cloak_core.studies.hardening.answers import Answer
 
 NAME = "hardened"
 
@@ -61,6 +63,10 @@ class Student(ABC):
         """Write the network as it is into `stem` and the endings in `files`; returns the spec that loads it. seen: how
         many images it learned from, for formats that say that."""
 
+    def autocast(self, images: Float[Tensor, "B 3 H W"]) -> torch.autocast:
+        """In which either network is run, where it learns in half precision."""
+        return torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16")
+
     def write(self, state: dict[str, Tensor], folder: Path, seen: int) -> str:
         """Write a state of the network into `folder`, with its licence; returns the spec that loads it."""
         before = {name: tensor.clone() for name, tensor in self.network.state_dict().items()}
@@ -82,3 +88,29 @@ class Student(ABC):
             f"{theirs} licence is that of what {they} made from: {FAMILIES[self.request.family].licence}.\n"
             f"Load {them} as {spec}\n"
         )
+
+
+class AnsweringStudent(Student):
+    """A student whose network and teacher say the same things in the same order, so that these can be compared."""
+
+    @abstractmethod
+    def answer(self, detector: Any, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
+        """What the student's or the teacher's network says of images: an answer, or a raw map for each head."""
+
+    @abstractmethod
+    def compare(self, said: Any, wanted: Any, surer: Bool[Tensor, " B"] | None, sure: float) -> Float[Tensor, " B"]:
+        """How far an answer is from that wanted; see `distance`."""
+
+    @torch.no_grad()
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer | list[Tensor]:
+        said = self.answer(self.teacher, images)
+        return said.of(rows) if isinstance(said, Answer) else [raw[rows] for raw in said]
+
+    def distance(
+        self,
+        images: Float[Tensor, "B 3 H W"],
+        wanted: Any,
+        surer: Bool[Tensor, " B"] | None = None,
+        sure: float = 0.0,
+    ) -> Float[Tensor, " B"]:
+        return self.compare(self.answer(self.detector, images), wanted, surer, sure)

@@ -23,7 +23,7 @@ from cloak_core.detectors.torchvision_family.dense import DenseDetector
 from cloak_core.detectors.torchvision_family.loading import write_torchvision
 from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector
 from cloak_core.studies.hardening.answers import Answer, Reading, answer_distance
-from cloak_core.studies.hardening.student import Student
+from cloak_core.studies.hardening.student import AnsweringStudent, Student
 
 PROPOSALS = 128
 """Of an image: the teacher's best, of which the second stage of both is asked."""
@@ -42,45 +42,32 @@ class TorchvisionStudent(Student):
     def network(self) -> nn.Module:
         return self.detector.model
 
-    def autocast(self, images: Float[Tensor, "B 3 H W"]) -> torch.autocast:
-        """In which either network is run."""
-        return torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16")
-
     def save(self, stem: Path, seen: int) -> str:
         name = self.request.parts[0]
         write_torchvision(stem.with_suffix(".pth"), name, self.detector.model)
         return f"torchvision:{name}:{stem}.pth{self.options}"
 
 
-class DenseStudent(TorchvisionStudent):
+class DenseStudent(TorchvisionStudent, AnsweringStudent):
     """RetinaNet, FCOS, SSD and SSDlite."""
 
     detector: DenseDetector
     teacher: DenseDetector
 
-    def said(self, detector: DenseDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
-        """What a detector's heads say of every anchor."""
+    def answer(self, detector: DenseDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
         with self.autocast(images):
             outputs, _ = detector.raw(detector.prepare(images)[0])
         trust = outputs["bbox_ctrness"][..., 0] if "bbox_ctrness" in outputs else None
         return Answer(outputs["cls_logits"], outputs["bbox_regression"].unsqueeze(2), trust)
 
-    @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer:
-        return self.said(self.teacher, images).of(rows)
-
-    def distance(
-        self,
-        images: Float[Tensor, "B 3 H W"],
-        wanted: Answer,
-        surer: Bool[Tensor, " B"] | None = None,
-        sure: float = 0.0,
+    def compare(
+        self, said: Answer, wanted: Answer, surer: Bool[Tensor, " B"] | None, sure: float
     ) -> Float[Tensor, " B"]:
         point = self.detector.operating_point
         # FCOS' score is the root of the product.
         found_at = point**2 if isinstance(self.detector.model, FCOS) else point
         reading = Reading(isinstance(self.detector.model, SSD), self.detector.person, found_at)
-        return answer_distance(self.said(self.detector, images), wanted, reading, surer, sure)
+        return answer_distance(said, wanted, reading, surer, sure)
 
 
 class Stages(NamedTuple):
@@ -106,7 +93,7 @@ class TwoStageStudent(TorchvisionStudent):
             batch, _ = teacher.prepare(images)
             features = teacher.features(batch)
             raw = teacher.of_anchors(features)
-            proposals = [best[:PROPOSALS] for best in teacher.propose(batch, features, *raw)[0]]
+            proposals = [best[:PROPOSALS] for best in teacher.propose(batch, features, *raw)]
             judged = _judged(*teacher.of_proposals(batch, features, proposals))
         parts = [
             Answer(*part) for part in zip(*(p.split([len(b) for b in proposals]) for p in judged[:2]), strict=True)

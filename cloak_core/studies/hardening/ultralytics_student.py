@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from cloak_core.detectors.darknet.heads import Yolo
@@ -16,10 +16,10 @@ from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead,
 from cloak_core.files.errors import InputError
 from cloak_core.studies.hardening.answers import Answer, Reading, answer_distance
 from cloak_core.studies.hardening.distillation import distance
-from cloak_core.studies.hardening.student import Student
+from cloak_core.studies.hardening.student import AnsweringStudent
 
 
-class UltralyticsStudent(Student):
+class UltralyticsStudent(AnsweringStudent):
     """A network with a box at every cell. InputError: RT-DETR, whose queries stand in no order."""
 
     files = (".pt",)
@@ -35,32 +35,21 @@ class UltralyticsStudent(Student):
     def network(self) -> nn.Module:
         return self.detector.network
 
-    def maps(self, detector: UltralyticsDetector, images: Float[Tensor, "B 3 H W"]) -> Maps | list[Tensor]:
-        """What a detector's head says of images, before any activation."""
+    def answer(self, detector: UltralyticsDetector, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
         inputs, _ = fit(images, detector.input_size, detector.letterbox, YOLO_GREY)
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16"):
-            return detector.network(inputs)
+        with self.autocast(images):
+            maps = detector.network(inputs)
+        return maps if isinstance(detector.network.model[-1], AnchorHead) else _answer(maps)
 
-    @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer | list[Tensor]:
-        maps = self.maps(self.teacher, images)
-        if isinstance(self.teacher.network.model[-1], AnchorHead):
-            return [raw[rows] for raw in maps]
-        return _answer(maps).of(rows)
-
-    def distance(
-        self,
-        images: Float[Tensor, "B 3 H W"],
-        wanted: Answer | list[Tensor],
-        surer: Bool[Tensor, " B"] | None = None,
-        sure: float = 0.0,
+    def compare(
+        self, said: Answer | list[Tensor], wanted: Answer | list[Tensor], surer: Bool[Tensor, " B"] | None, sure: float
     ) -> Float[Tensor, " B"]:
-        own, maps = self.detector, self.maps(self.detector, images)
+        own = self.detector
         head, point = own.network.model[-1], own.operating_point
         if isinstance(head, AnchorHead):
-            return distance(_yolo_heads(head), maps, wanted, own.person, surer, sure, point)
+            return distance(_yolo_heads(head), said, wanted, own.person, surer, sure, point)
         reading = Reading(softmax=False, person=own.person, found_at=point)
-        return answer_distance(_answer(maps), wanted, reading, surer, sure)
+        return answer_distance(said, wanted, reading, surer, sure)
 
     def save(self, stem: Path, seen: int) -> str:
         path = stem.with_suffix(".pt")

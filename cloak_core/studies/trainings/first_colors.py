@@ -31,20 +31,18 @@ COLUMN, GAP = 0.06, 0.05
 """Of the body's height: half the width of the strip about the middle that is looked at for room, and what parts it."""
 
 
-def first_colors(
-    settings: OptimizerSettings, bodies: Bodies, logo: Logo, seed: int = 0, device: torch.device | None = None
-) -> Float[Tensor, "L 3"]:
+def first_colors(settings: OptimizerSettings, bodies: Bodies, logo: Logo, seed: int = 0) -> Float[Tensor, "L 3"]:
     """Make the logo's first colours: grey, seeded random ones, the first outfit's, an animal's face, or a print."""
     if settings.initial in PRINTS:
-        return torch.from_numpy(PRINTS[settings.initial].at(face_places(bodies, logo))).to(device)
+        return torch.from_numpy(PRINTS[settings.initial].at(face_places(bodies, logo)))
     if settings.initial == "clothing":
-        return torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
+        return torch.from_numpy(bodies.face_colors[0, logo.face_ids])
     if settings.initial == "animal":
-        return torch.from_numpy(animal_face(bodies, logo)).to(device)
+        return torch.from_numpy(animal_face(bodies, logo))
     if settings.initial == "random":
         generator = torch.Generator().manual_seed(seed)
-        return torch.rand((len(logo), 3), generator=generator).to(device)
-    return torch.full((len(logo), 3), 0.5, device=device)
+        return torch.rand((len(logo), 3), generator=generator)
+    return torch.full((len(logo), 3), 0.5)
 
 
 def on_squares(

@@ -17,9 +17,17 @@ from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
 from cloak_core.files.likeness import pose_shape
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import Fits, people_identity
+from cloak_core.sources.photographs.fits import NOBODY, Fits, people_identity
 from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.studies.trainings.material import TrainingData
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """Bodies, backgrounds, and people in photographs of which images are made."""
+
+    bodies: Bodies
+    backgrounds: Backgrounds
+    people: Fits = NOBODY
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +35,6 @@ class RunInputs:
     """What beside the material decides a run."""
 
     processes: int = 1
-    held_out: TrainingData | None = None
     files: Mapping[str, object] | None = None
     """Content of the files that techniques read, by the setting's name."""
     query_prior: Sequence[Detector] = ()
@@ -45,7 +52,6 @@ def run_config(
 ) -> dict:
     """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     more = more or RunInputs()
-    held_out = more.held_out
     return {
         "format": "cloak run",
         "version": FORMAT_VERSION,
@@ -60,8 +66,6 @@ def run_config(
         "people": _people(more.people),
         **(NO_TECHNIQUES.content() if more.files is None else more.files),
         "query_prior": [_detector(detector) for detector in more.query_prior] or None,
-        "held_out": held_out
-        and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),
         "environment": environment() | {"processes": more.processes, "device": device_kind(settings.compute.device)},
     }

@@ -10,9 +10,7 @@ from pathlib import Path
 import torch
 
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.ensemble import Ensemble
 from cloak_core.core.events import OnEvent
-from cloak_core.core.held_out import held_out_settings
 from cloak_core.core.logo import Logo
 from cloak_core.core.loop import RunResult, TrainingError
 from cloak_core.core.settings import TrainSettings
@@ -29,8 +27,7 @@ from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.trainings.first_colors import first_colors, on_squares
-from cloak_core.studies.trainings.material import TrainingData, set_aside
-from cloak_core.studies.trainings.run_record import RunInputs, run_config
+from cloak_core.studies.trainings.run_record import RunInputs, TrainingData, run_config
 
 
 def train(
@@ -73,7 +70,6 @@ def train(
             raise InputError(
                 f"--detector {detector.spec}: gives no gradients, so nothing can be trained by them; {hint}"
             )
-    Ensemble(settings.objective, len(detectors))  # refuses what does not fit
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
     data = TrainingData(bodies, backgrounds, Fits.of(people))
@@ -106,29 +102,18 @@ def make_job(asked: Asked, world: World) -> Job:
     surrogates = [detector.to(device) for detector in asked.query_prior]
     worn = Worn.of(settings.pattern, data.bodies, logo)
     techniques = Techniques.built(Setup(settings, worn, detectors, device))
-    trained, held = set_aside(settings.run, data)
     begun = [technique.first() for technique in techniques.at("first")]
     if begun:
         first = worn.colors(begun[0])
     else:
         start = first_colors(settings.optimization, data.bodies, logo, settings.run.seed).numpy()
         first = on_squares(worn.cloth, settings.optimization, start) if worn.cloth is not None else start
-    more = RunInputs(world.size, held, techniques.content(), asked.query_prior, data.people)
+    more = RunInputs(world.size, techniques.content(), asked.query_prior, data.people)
     config = run_config(settings, data.bodies, logo, detectors, data.backgrounds, asked.inputs, more)
-    material = make_material(settings, trained, worn, device)
+    material = make_material(settings, data, worn, device)
     if not data.people or settings.photographs.people_share < 1:
         require_visible(material.source)
-    return Job(
-        settings,
-        worn,
-        first,
-        techniques,
-        material,
-        None if held is None else make_material(held_out_settings(settings), held, worn, device),
-        detectors,
-        surrogates,
-        config,
-    )
+    return Job(settings, worn, first, techniques, material, detectors, surrogates, config)
 
 
 def make_material(settings: TrainSettings, data: TrainingData, worn: Worn, device: torch.device) -> Material:

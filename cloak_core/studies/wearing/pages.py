@@ -1,4 +1,4 @@
-"""Pictures of dressed people: an album with the boxes that detectors still draw, and a page of pairs for raters.
+"""Pictures of dressed people: an album with the boxes that detectors still draw.
 
 They show real people: none of them is ever published with the project.
 """
@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from PIL import Image, ImageDraw
+from torch import Tensor
 
 from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.evaluation.results import CORNERS
 from cloak_core.core.pictures import save_picture
-from cloak_core.files.tables import as_cell
-from cloak_core.files.writing import write_text
-from cloak_core.studies.report.page import jpeg_uri, write_page
-from cloak_core.studies.report.pictures import PAPER, font
+from cloak_core.studies.report.pictures import PAPER, font, to_pil
 from cloak_core.studies.report.style import INK
 from cloak_core.studies.report.words import short_name
 from cloak_core.studies.wearing.clothes import CONTROLS
@@ -37,8 +35,6 @@ ROWS = {
     "resampled": "own clothing, laid on as the cloak is",
 }
 """What the controls' rows are."""
-SIDE = 360
-"""Width and height of a picture on the page of pairs, pixels."""
 
 
 class Album:
@@ -74,6 +70,11 @@ class Album:
             best = self._draw_boxes(tile, boxes, TILE / image.width)
             self._hidden.setdefault(clothes, []).append(sum(score is None for score in best))
             self._tiles.setdefault(clothes, {})[person] = _captioned(tile, best)
+
+    def add_all(self, clothes: str, people: np.ndarray, images: Float[Tensor, "B 3 H W"], boxes: pd.DataFrame) -> None:
+        """Write the images of these people in the same clothes; see `OnImages`."""
+        for person, image in zip(people.tolist(), images, strict=True):
+            self.add(clothes, person, to_pil(image), boxes[(boxes["image"] == person).to_numpy()])
 
     def _draw_boxes(self, picture: Image.Image, boxes: pd.DataFrame, scale: float) -> list[float | None]:
         """Draw what is above each detector's threshold; return the best score of each, None where she is hidden."""
@@ -132,41 +133,3 @@ def _captioned(tile: Image.Image, best: Sequence[float | None]) -> Image.Image:
 def file_name(name: str) -> str:
     """A name as a file's: letters, digits, dots, dashes."""
     return re.sub(r"[^A-Za-z0-9._=-]+", "-", name).strip("-.") or "unnamed"
-
-
-class Rating:
-    """Pairs for raters who do not know what is what: the same person twice, in other clothes, without boxes.
-
-    Pairs are drawn from all people and all pairs of clothes; which picture is left is drawn as well.
-    """
-
-    def __init__(self, folder: Path, people: Sequence[str], clothes: Sequence[str], count: int) -> None:
-        """clothes: two names or more. count: of the pairs, at most.
-
-        Each two clothes are compared as often as any others, on people in an order of their own.
-        """
-        self._folder, self._people = folder, people
-        rng, both = np.random.default_rng(0), list(combinations(clothes, 2))
-        asked = [both[k % len(both)] for k in range(min(count, len(people) * len(both)))]
-        turns = [rng.permutation(len(people)) for _ in both]
-        self._pairs = [
-            (tuple(rng.permutation(names).tolist()), int(turns[k % len(both)][k // len(both)]))
-            for k, names in enumerate(asked)
-        ]
-        rng.shuffle(self._pairs)
-        self._wanted = {(name, person) for names, person in self._pairs for name in names}
-        self._pictures: dict[tuple[str, int], str] = {}
-
-    def add(self, clothes: str, person: int, image: Image.Image, boxes: pd.DataFrame) -> None:
-        """Keep an image that a pair shows."""
-        if (clothes, person) in self._wanted:
-            picture = image.resize((SIDE, SIDE), Image.Resampling.LANCZOS)
-            self._pictures[clothes, person] = jpeg_uri(picture, quality=90)
-
-    def write(self) -> None:
-        """Write rate.html, which does not say what is what, and rate-key.csv, which does."""
-        shown = [[self._pictures[name, person] for name in names] for names, person in self._pairs]
-        write_page(self._folder / "rate.html", "rate.html", {"title": "Which one?", "pairs": shown})
-        key = [(k, *names, self._people[person]) for k, (names, person) in enumerate(self._pairs, 1)]
-        table = pd.DataFrame(key, columns=["pair", "left", "right", "person"])
-        write_text(self._folder / "rate-key.csv", table.map(as_cell).to_csv(index=False, lineterminator="\n"))

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-from torch import Tensor
 
 from cloak_core.core.cameras import Number
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.controls import CLOTHING
-from cloak_core.core.evaluation.measure import OnImages, OnProgress, kept_frozen, measure
+from cloak_core.core.evaluation.measure import OnProgress, kept_frozen, measure
 from cloak_core.core.evaluation.results import NOBODY, Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import false_alarms, finite, side_record, success_record
@@ -23,9 +21,8 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.people import People
-from cloak_core.studies.report.pictures import to_pil
 from cloak_core.studies.wearing.clothes import CONTROLS, Clothes, read_clothes
-from cloak_core.studies.wearing.pages import Album, Rating
+from cloak_core.studies.wearing.pages import Album
 from cloak_core.studies.wearing.renderer import PeopleRenderer
 
 
@@ -42,8 +39,8 @@ def wear_and_judge(
     """Dress people in each of `colors` and in the controls, and judge them.
 
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
-    CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person), wear.json and, where the settings
-    ask for pairs, rate.html and rate-key.csv; nothing is left of it where this fails.
+    CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person) and wear.json; nothing is left of
+    it where this fails.
     more: what the result says besides.
     Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
@@ -56,8 +53,6 @@ def wear_and_judge(
     if not detectors:
         raise InputError("--detector: none given")
     if out is None:
-        if settings.pairs:
-            raise InputError("--pairs: needs --out, the folder that the page is written to")
         return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | dict(more or {})
     if is_taken(out):
         raise InputError(f"{out}: exists already")
@@ -81,19 +76,13 @@ def _judged(
     fits, points = fit_people(people), {spec: detector.operating_point for spec, detector in detectors.items()}
     people = those_who_fit(people, fits)
     renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
-    pages: list[Album | Rating] = []
-    if folder is not None:
-        pages.append(Album(folder, renderer.body_names, list(points.values()), list(points)))
-    if settings.pairs:
-        compared = [*(one.name for one in clothes), CLOTHING]
-        pages.append(Rating(folder, renderer.body_names, compared, settings.pairs))
-    told = {"batch": settings.batch, "on_progress": on_progress, "on_images": _shown_on(pages) if pages else None}
+    album = None if folder is None else Album(folder, renderer.body_names, list(points.values()), list(points))
+    told = {"batch": settings.batch, "on_progress": on_progress, "on_images": album and album.add_all}
     bare = np.arange(min(settings.bare, len(backgrounds)))
     with kept_frozen(detectors):
         results = measure(renderer, detectors, tuple(renderer.clothes), bare, **told)
-    for page in pages:
-        page.write()
-    if folder is not None:
+    if album is not None:
+        album.write()
         write_text(folder / "scores.csv", _table(results, people))
     return {
         "detectors": {
@@ -107,18 +96,6 @@ def _judged(
         "operating_points": points,
         "fit": mean_quality(fits),
     }
-
-
-def _shown_on(pages: Sequence[Album | Rating]) -> OnImages:
-    """Hand every judged image with its boxes to these pages."""
-
-    def show(control: str, people: np.ndarray, images: Tensor, boxes: pd.DataFrame) -> None:
-        for person, image in zip(people.tolist(), images, strict=True):
-            mine = boxes[(boxes["image"] == person).to_numpy()]
-            for page in pages:
-                page.add(control, person, to_pil(image), mine)
-
-    return show
 
 
 def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:

@@ -146,11 +146,11 @@ def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
 
 
 def test_a_device_chooses_in_one_place() -> None:
-    """Beside the backend only the names of stored views, total variation and views of photographs ask."""
+    """Beside the backend only total variation and views of photographs ask."""
     room = Path(cloak_core.__file__).parent
     asking = {path for path in room.rglob("*.py") if "use_loops(" in path.read_text(encoding="utf-8")}
     rendering = {f"core/visibility/{name}.py" for name in ("compiled", "backend")}
-    others = {"core/losses.py", "sources/bodies/view_files.py", "sources/photographs/views.py"}
+    others = {"core/losses.py", "sources/photographs/views.py"}
     assert {path.relative_to(room).as_posix() for path in asking} == rendering | others
 
 

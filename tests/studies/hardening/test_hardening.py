@@ -83,11 +83,20 @@ def test_a_folder_that_is_there_is_not_taken_for_another(
         hardened(student, tmp_path / "out", **({"steps": 1} | changes))
 
 
-def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(student: Student, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("of_then", "message"),
+    [
+        ({"format": "cloak hardening 1"}, "earlier version, which drew other cloaks; begin in another --out"),
+        ({"cloaks": ["0" * 64]}, "--cloak, which this version does not have; begin in another --out"),
+    ],
+)
+def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(
+    student: Student, tmp_path: Path, of_then: dict, message: str
+) -> None:
     hardened(student, tmp_path / "out", steps=1)
     config = json.loads((tmp_path / "out" / "config.json").read_text())
-    (tmp_path / "out" / "config.json").write_text(json.dumps(config | {"format": "cloak hardening 1"}))
-    with pytest.raises(InputError, match="earlier version, which drew other cloaks; begin in another --out"):
+    (tmp_path / "out" / "config.json").write_text(json.dumps(config | of_then))
+    with pytest.raises(InputError, match=message):
         hardened(student, tmp_path / "out", resume=True, steps=1)
 
 
@@ -112,6 +121,7 @@ def test_a_folder_begun_before_a_setting_was_there_goes_on(student: Student, tmp
     config = json.loads((tmp_path / "out" / "config.json").read_text())
     for name in ("perturbation", "replays", "cloths"):
         del config["settings"][name]
+    config["cloaks"] = []  # none that were there already
     (tmp_path / "out" / "config.json").write_text(json.dumps(config))
     assert hardened(student, tmp_path / "out", resume=True, steps=1).step == 1
     with pytest.raises(InputError, match="begun with other --cloths"):

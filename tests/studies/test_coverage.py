@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from cloak_core.bench.intervals import ASKED, Design, coverage, designs, least_width, simulate
 from cloak_core.core.evaluation.intervals import clustered_rate
+from tests.studies.simulated_evaluations import ASKED, Design, coverage, designs, least_width, simulate
 
 
 @pytest.mark.slow

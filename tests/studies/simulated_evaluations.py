@@ -1,8 +1,12 @@
-"""Simulate evaluations with a known success rate and count how often printed 95 % intervals cover it."""
+"""Simulate evaluations with a known success rate and count how often printed 95 % intervals cover it.
+
+`python -m tests.studies.simulated_evaluations 200 > docs/reports/intervals.md` writes the page (200 of each design).
+"""
 
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
@@ -135,33 +139,28 @@ def least_width(bodies: int, covers: float) -> float:
     return 1 - (1 - covers) ** (1 / bodies)
 
 
-def run_bench_intervals(repetitions: int = 200) -> dict:
-    """Simulate every design; returns {"repetitions", "rows": [design and methods], "worst": {METHOD: coverage}}."""
-    rows = [asdict(design) | {"methods": coverage(design, repetitions)} for design in designs()]
-    worst = {name: min(row["methods"][name]["coverage"] for row in rows) for name in METHODS}
-    return {"repetitions": repetitions, "images": IMAGES, "rows": rows, "worst": worst}
-
-
-def intervals_page(result: dict, command: str) -> str:
-    """Write the page docs/reports/intervals.md: what was simulated, and a row for each design."""
-    worst = ", ".join(f"{name} {100 * value:.0f} %" for name, value in result["worst"].items())
+def intervals_page(repetitions: int) -> str:
+    """Simulate every design, and write the page: what was simulated, and a row for each design."""
+    results = [(design, coverage(design, repetitions)) for design in designs()]
+    lowest = {name: min(methods[name]["coverage"] for _, methods in results) for name in METHODS}
+    worst = ", ".join(f"{name} {100 * value:.0f} %" for name, value in lowest.items())
     heads = ["bodies", "backgrounds", "seeds", "success", "sd between bodies", "never hidden"]
     heads += [f"{name}: covers, width" for name in METHODS]
     rows = [
         [
-            *(f"{row[key]:g}" for key in ("bodies", "backgrounds", "seeds", "truth", "body_sd", "never_hidden")),
-            *(f"{100 * m['coverage']:.0f} %, {m['width']:.2f}" for m in row["methods"].values()),
+            *(f"{value:g}" for value in asdict(design).values()),
+            *(f"{100 * m['coverage']:.0f} %, {m['width']:.2f}" for m in methods.values()),
         ]
-        for row in result["rows"]
+        for design, methods in results
     ]
-    counts = sorted({row["bodies"] for row in result["rows"]})
+    counts = sorted({design.bodies for design, _ in results})
     least = ", ".join(f"{least_width(n, ASKED):.2f} with {n} bodies" for n in counts)
     text = [
         "# Do 95 % intervals hold?",
         "",
         "Evaluations with a known success rate are simulated; the table says how often the printed interval covers "
-        f"that rate, and how wide it is on average. Each of {result['repetitions']} repetitions of a design draws "
-        f"bodies, backgrounds ({BACKGROUND_SD} logits apart) and {result['images']} images a training. *Never hidden* "
+        f"that rate, and how wide it is on average. Each of {repetitions} repetitions of a design draws "
+        f"bodies, backgrounds ({BACKGROUND_SD} logits apart) and {IMAGES} images a training. *Never hidden* "
         "is the share of all people whom the detector always finds, whatever they wear.",
         "",
         f"Lowest coverage of all designs: {worst}.",
@@ -179,6 +178,10 @@ def intervals_page(result: dict, command: str) -> str:
         "",
         *table(heads, rows),
         "",
-        f"`{command}`",
+        f"`python -m tests.studies.simulated_evaluations {repetitions}`",
     ]
-    return "\n".join(text) + "\n"
+    return "\n".join(text)
+
+
+if __name__ == "__main__":
+    print(intervals_page(int(sys.argv[1])))
