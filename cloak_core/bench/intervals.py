@@ -14,6 +14,7 @@ from scipy.stats import beta
 
 from cloak_core.bench.records import table
 from cloak_core.core.evaluation.intervals import bootstrap_interval, cells, clustered_deviation, clustered_rate
+from cloak_core.core.evaluation.measure import OnProgress
 
 IMAGES = 336
 """Images of one evaluation and training, dealt out to its bodies."""
@@ -135,9 +136,12 @@ def least_width(bodies: int, covers: float) -> float:
     return 1 - (1 - covers) ** (1 / bodies)
 
 
-def run_bench_intervals(repetitions: int = 200) -> dict:
+def run_bench_intervals(repetitions: int = 200, on_progress: OnProgress = lambda done, total: None) -> dict:
     """Simulate every design; returns {"repetitions", "rows": [design and methods], "worst": {METHOD: coverage}}."""
-    rows = [asdict(design) | {"methods": coverage(design, repetitions)} for design in designs()]
+    rows, every = [], tuple(designs())
+    for number, design in enumerate(every):
+        on_progress(number, len(every))
+        rows.append(asdict(design) | {"methods": coverage(design, repetitions)})
     worst = {name: min(row["methods"][name]["coverage"] for row in rows) for name in METHODS}
     return {"repetitions": repetitions, "images": IMAGES, "rows": rows, "worst": worst}
 

@@ -7,6 +7,7 @@ processes together have as many threads as the one.
 from __future__ import annotations
 
 import dataclasses
+import logging
 import os
 import statistics
 import subprocess
@@ -36,13 +37,16 @@ from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.jobs.job import Tell
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.studies.pace import in_turn
 from cloak_core.studies.trainings.material import TrainingData
 from cloak_core.studies.trainings.training import make_material
 
+_log = logging.getLogger(__name__)
 WARM_UP = 3
 """Rounds that are not counted: what allocates, compiles and plans on first use."""
 
@@ -57,6 +61,7 @@ def run_bench_step(
     people: Sequence[Fit] = (),
     threads: int = 2,
     repeats: int = 20,
+    tell: Tell = _log.info,
 ) -> dict:
     """C6's record: {SPEC: {"batch", "floor_ms", "step_ms", "ratio", "overhead_ms_per_image", "parts_ms", ...}}.
 
@@ -68,14 +73,17 @@ def run_bench_step(
     is what they leave of step - floor: negative where a batch is built beside the detector, positive where both fight
     for cores and caches. `settings` (default: preset best, batch 8) decide batch, size, device and views; with a range
     of distances, and with `people` in photographs (default: preset photographs, which trains a cloth), every image pays
-    for a view of its own. Logo: chest and thighs unless given; with people shirt and trousers.
+    for a view of its own. Logo: chest and thighs unless given; with people shirt and trousers. `tell` hears of each
+    detector before it is timed.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     settings = settings or make_settings("photographs" if people else "best")
     with torch_threads(threads):
+        tell("building views that the clock does not count")
         bench = Bench(bodies, logo_faces, backgrounds, settings, people)
-        return {detector.spec: bench.measure([detector], repeats) for detector in detectors} | {
+        turns = in_turn(detectors, lambda detector: f"{detector.name}, {repeats} steps", tell)
+        return {detector.spec: bench.measure([detector], repeats) for detector in turns} | {
             "threads": threads,
             "machine": machine(settings.compute.device),
         }
@@ -259,11 +267,14 @@ def run_bench_ranks(
     threads: int,
     steps: int,
     rounds: int,
+    tell: Tell = _log.info,
 ) -> dict:
     """{SPEC: {"batch", "ranks", "threads", "one", "many", "throughput", ...}}: images a second, and many / one.
 
     `cloak train` itself, alone and under torchrun, takes turns for `rounds`; medians. The first third of the steps
-    builds views and warms up, and is not counted. InputError: threads that do not divide, or a training that fails.
+    builds views and warms up, and is not counted. `tell` hears of each training before it begins.
+
+    InputError: threads that do not divide, or a training that fails.
     """
     if ranks < 2 or threads % ranks or steps < 3 or rounds < 1:
         raise InputError(
@@ -273,10 +284,11 @@ def run_bench_ranks(
     options += ["--batch", str(batch), "--steps", str(steps), "--checkpoint-every", "0", "--preview-every", "0"]
     rates: dict[int, list[float]] = {1: [], ranks: []}
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(rounds):
-            for count, measured in rates.items():
-                out = Path(folder, f"{number}-{count}")
-                measured.append(batch * _steps_per_second(count, threads // count, [*options, "--out", str(out)], out))
+        trainings = [(number, count) for number in range(rounds) for count in rates]
+        for number, count in in_turn(trainings, lambda it: f"round {it[0] + 1}, processes: {it[1]}", tell):
+            out = Path(folder, f"{number}-{count}")
+            rate = _steps_per_second(count, threads // count, [*options, "--out", str(out)], out)
+            rates[count].append(batch * rate)
     alone, together = (statistics.median(rates[count]) for count in (1, ranks))
     return {
         spec: {
