@@ -14,7 +14,7 @@ bin=$folder/environment/bin
 "$bin/python" -m pip install -q --disable-pip-version-check "$file${EXTRAS:+[$EXTRAS]}"
 "$bin/cloak" version
 "$bin/cloak" train --logo chest+thighs --out RUN --steps 20 --batch 2 --size 160 --translation 16 --samples 4
-"$bin/cloak" evaluate RUN --samples 4 --size 160 --shift 16 --most-images 8
+"$bin/cloak" evaluate RUN --samples 4 --size 160 --shift 16 --most-images 8 --bare 16
 "$bin/cloak" report RUN
 test -s RUN/report.html
 echo "$(basename "$file") does what the README says on $("$bin/python" -V), in $folder"
