@@ -11,20 +11,25 @@ from cloak_core.cli import main
 from cloak_core.core.events import read_events
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
+from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.evaluate import check_folder, is_earlier_on_people
 from cloak_core.studies.trained_run import seen_in_training
+from cloak_core.zoo.entry import _photographs as zoo_photographs
+from cloak_core.zoo.entry import run_path
 from tests.core.test_run_identity import picture
 
-OLD = Path(__file__).parent / "old_versions" / "v0.1.0"
+VERSIONS = Path(__file__).parent / "old_versions"
+OLD = VERSIONS / "v0.1.0"
 SETTINGS = {"size": "96", "translation": "8", "batch": "2", "preview-every": "0", "seed": "3", "distance": "2.0:2.4"}
 SETTINGS |= {"detector": "builtin@96", "backgrounds": "procedural:train:4", "angles": "-10:10:10"}
 AS_BEFORE = [*(f"--{name}={value}" for name, value in SETTINGS.items()), "--steps=400"]
 
 
-@pytest.fixture
-def old(tmp_path: Path) -> Path:
-    """The files, to be written to."""
-    return Path(shutil.copytree(OLD, tmp_path / "old"))
+@pytest.fixture(params=["v0.1.0", "v1.0.0"])
+def old(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """The files that a version wrote with the same commands, to be written to."""
+    return Path(shutil.copytree(VERSIONS / request.param, tmp_path / "old"))
 
 
 def told(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[int, dict, str]:
@@ -46,7 +51,10 @@ def test_a_scene_and_face_lists() -> None:
 
 
 def train(old: Path, out: str, *more: str) -> list[str]:
-    return ["train", "--scene", str(old / "scene"), "--logo", str(old / "logo.npy"), "--out", str(old / out), *more]
+    threads = json.loads((old / "stopped" / "config.json").read_text())["settings"]["threads"]
+    begun = [] if threads is None else ["--threads", str(threads)]
+    names = ["--scene", str(old / "scene"), "--logo", str(old / "logo.npy"), "--out", str(old / out)]
+    return ["train", *names, *begun, *more]
 
 
 @pytest.mark.slow
@@ -59,7 +67,8 @@ def test_a_stopped_run_goes_on_with_the_same_settings(
     assert result["step"] > 1 and np.load(old / "stopped" / "colors.npy").shape == (16, 3)
     assert (old / "stopped" / "config.json").read_bytes() == before
     (resumed,) = [event for event in read_events(old / "stopped" / "events.jsonl") if event["type"] == "resume"]
-    assert resumed["step"] == 1 and resumed["changes"][0] == "other code (of Cloak 0.1.0)"
+    begun = json.loads(before)["cloak"]
+    assert resumed["step"] == 1 and resumed["changes"][0] == f"other code (of Cloak {begun})"
     assert "began with other code" in caplog.text
 
 
@@ -105,3 +114,40 @@ def test_backgrounds_that_were_known_by_their_files_are_recognized(old: Path, tm
     assert unseen == {"bodies": False, "backgrounds": False} and "(1.png)" in warnings[1]
     unseen, _ = seen_in_training(config, read_scene(old / "scene"), backgrounds.subset([0]))
     assert unseen["backgrounds"] is True
+
+
+FIRST = VERSIONS / "v1.0.0"
+
+
+@pytest.mark.parametrize("words", [["leaderboard", "build", "cards"], ["assess", "--out", "cards"]])
+def test_cards_of_protocol_1_are_refused_in_one_line(words: list[str], capsys, monkeypatch) -> None:
+    monkeypatch.chdir(FIRST)
+    code, _, said = told(words, capsys)
+    assert code == 2 and said.count("\n") == 1 and "card.json: protocol is '1'; this version has '2'" in said
+
+
+@pytest.mark.slow
+def test_a_sweep_of_1_0_is_read_and_not_gone_on_with(old_sweep: Path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(old_sweep)
+    assert (run_path("sweep") / "config.json").is_file()
+    code, _, said = told(["sweep", "grid.toml", "--out", "sweep"], capsys)
+    assert code == 2 and "sweep: holds the results of a sweep by an earlier version" in said
+
+
+@pytest.fixture
+def old_sweep(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(FIRST, tmp_path / "first"))
+
+
+def test_an_evaluation_on_people_of_1_0_is_replaced_and_makes_no_entry_of_the_zoo() -> None:
+    folder = FIRST / "body" / "evaluation-people"
+    assert is_earlier_on_people(folder) and check_folder(folder) == folder
+    with pytest.raises(InputError, match="evaluation-people: of an earlier version: evaluate on people again"):
+        zoo_photographs(folder.parent, json.loads((folder.parent / "config.json").read_text()))
+
+
+@pytest.mark.slow
+def test_a_hardening_of_1_0_is_not_gone_on_with(tmp_path: Path, capsys) -> None:
+    shutil.copytree(FIRST / "hardened", tmp_path / "hardened")
+    code, _, said = told(["harden", "builtin", "--resume", "--no-assess", "--out", str(tmp_path / "hardened")], capsys)
+    assert code == 2 and "hardened: was begun by an earlier version" in " ".join(said.split())

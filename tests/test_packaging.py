@@ -17,6 +17,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+WORKFLOWS = ROOT / ".github" / "workflows"
 LEFT = shutil.ignore_patterns(
     ".git", ".venv*", "runs", "build", "dist", "site", ".*_cache", "__pycache__", "*.egg-info"
 )
@@ -74,6 +75,35 @@ def test_the_readme_of_the_package_index_has_no_link_that_leads_nowhere() -> Non
     for text in (linked, bare):
         assert all(target.startswith("https://") for target in re.findall(r"\]\(([^)]+)\)", text))
     assert "![" not in bare and "[Learning Transferable" in bare
+
+
+def test_readme_and_pages_are_no_longer_than_people_read() -> None:
+    pages = [len(path.read_text("utf-8").split()) for path in (ROOT / "docs").glob("*.md")]
+    assert len((ROOT / "README.md").read_text("utf-8").split()) <= 500 and sum(pages) <= 18_000
+
+
+def test_a_push_tries_every_python_that_the_package_promises() -> None:
+    yaml = pytest.importorskip("yaml")
+    jobs = {path.stem: yaml.safe_load(path.read_text("utf-8"))["jobs"] for path in WORKFLOWS.glob("*.yml")}
+    tried = set(jobs["wheel"]["containers"]["strategy"]["matrix"]["python"])
+    promised = {line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)}
+    assert promised and promised <= tried
+    asked = [job["uses"] for name in ("ci", "release") for job in jobs[name].values() if "uses" in job]
+    assert asked == ["./.github/workflows/wheel.yml"] * 2
+    assert "wheel" in jobs["release"]["publish"]["needs"], "nothing is released that was not tried"
+
+
+def test_the_commands_that_try_the_wheel_are_understood() -> None:
+    from cloak_core.cli import find, load
+    from cloak_core.commands import parsing
+
+    text = (ROOT / "tools" / "try_wheel.sh").read_text("utf-8")
+    typed = [
+        line.removeprefix('"$bin/cloak" ').split() for line in text.splitlines() if line.startswith('"$bin/cloak"')
+    ]
+    assert [words[0] for words in typed] == ["version", "train", "evaluate", "report"]
+    for name, options in map(find, typed):
+        assert isinstance(parsing.parse(load(name), name, options), load(name))
 
 
 @pytest.mark.long

@@ -40,6 +40,7 @@ from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
 from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.pace import in_turn
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +68,7 @@ def run_bench_accuracy(
     only: tuple[str, ...] = (),
     tell: Tell = _log.info,
 ) -> dict:
-    """Measure all points of all scenes (or of `only` some of them); `tell` hears of each that is done.
+    """Measure all points of all scenes (or of `only` some of them); `tell` hears of each, and how long it took.
 
     With `out`, also a table, a plot and the JSON in that folder, after each scene; scenes measured there earlier stay
     beside these.
@@ -81,7 +82,7 @@ def run_bench_accuracy(
         measured = {"threads": threads, "clock": clock(), "repeats": repeats, "peers": available()}
         measured |= {"machine": machine()}
         result = {"scenes": {}, "default": default_name(), **measured}
-        for name in only or SCENES:
+        for name in in_turn(tuple(only or SCENES), str, tell):
             begun = time.monotonic()
             result["scenes"][name] = measure(make_scene(name, bodies), repeats, threads, measured["peers"]) | measured
             if out is not None:

@@ -1,5 +1,6 @@
 """What a detector costs: forward, and forward with the gradient of the images, against the same model used naively."""
 
+import logging
 import statistics
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,7 +14,11 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.detectors.loading import load_detector
+from cloak_core.jobs.job import Tell
+from cloak_core.studies.pace import in_turn
 from cloak_core.studies.report.words import short_name
+
+_log = logging.getLogger(__name__)
 
 
 def run_bench_detectors(
@@ -24,6 +29,7 @@ def run_bench_detectors(
     repeats: int = 9,
     threads: int | None = None,
     device: str = "cpu",
+    tell: Tell = _log.info,
     **options: object,
 ) -> dict[str, dict[str, float]]:
     """Median milliseconds per image, for `batch` images of `size` x `size` (noise: the work does not depend on it).
@@ -32,10 +38,11 @@ def run_bench_detectors(
     the memory layout as loaded, in float32, and gradients for the weights, "speedup": naive_ms / gradient_ms, "batch",
     "threads"}.
     The two ways take turns, so that both meet the same machine. A black box has no gradients: those entries are absent.
-    `options` go to `load_detector`.
+    `tell` hears of each detector before it is timed; `options` go to `load_detector`.
     """
     with torch_threads(threads or torch.get_num_threads()):
-        return {spec: _bench(spec, batch, size, repeats, device, options) for spec in specs}
+        turns = in_turn(specs, lambda spec: f"{short_name(spec)}, {repeats} repetitions", tell)
+        return {spec: _bench(spec, batch, size, repeats, device, options) for spec in turns}
 
 
 def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options: dict) -> dict[str, float]:

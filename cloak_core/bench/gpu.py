@@ -39,6 +39,7 @@ from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
+from cloak_core.studies.pace import in_turn
 
 _log = logging.getLogger(__name__)
 TRIANGLES = 55_000
@@ -209,7 +210,7 @@ def run_bench_gpu(
         "failed": {},
         "not_run": {} if is_there else dict.fromkeys(PARTS, "no CUDA device"),
     }
-    for name in () if not is_there else PARTS:
+    for name in in_turn(tuple(PARTS) if is_there else (), str, tell):
         try:
             record["measured"][name] = PARTS[name](Material(people, images))
         except InputError as error:

@@ -32,6 +32,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
 from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.pace import in_turn
 
 _log = logging.getLogger(__name__)
 
@@ -75,7 +76,7 @@ def run_bench_growth(
     most: int | None = None,
     tell: Tell = _log.info,
 ) -> dict:
-    """Times, peaks and exponents of every series, or of `only` some; `tell` hears of each that is done.
+    """Times, peaks and exponents of every series, or of `only` some; `tell` hears of each point and series.
 
     memory: bytes for kept views; quick: leave out the largest sizes, as `most` does those above it; people: a COCO
     file, and its photographs' folder, of whom the people of that series are made. With `out`, also a table and the JSON
@@ -88,15 +89,17 @@ def run_bench_growth(
     if "people" in only and people is None:
         raise InputError("growth: --only people needs --people, of whom others are made")
     series = {}
-    for quantity in only or (name for name in _SIZES if name != "people" or people):
+    for quantity in only or tuple(name for name in _SIZES if name != "people" or people):
         field = "side" if quantity == "pixels" else quantity
         sizes = _SIZES[quantity][: max(3, len(_SIZES[quantity]) - 2)] if quick else _SIZES[quantity]
         sizes = [size for size in sizes if most is None or size <= most]
         if len(sizes) < 2:
             raise InputError(f"growth: --most {most} leaves fewer than two sizes of {quantity}, from {sizes or 'none'}")
         work = Work(source=people)
-        points = [_measured(replace(work, **{field: size}), size, threads, memory) for size in sizes]
-        fitted = exponents(points, 2 if quantity == "pixels" else 1)
+        power = 2 if quantity == "pixels" else 1
+        turns = in_turn(sizes, f"{quantity}: {{:,}}".format, tell, weight=lambda size, power=power: size**power)
+        points = [_measured(replace(work, **{field: size}), size, threads, memory) for size in turns]
+        fitted = exponents(points, power)
         series[quantity] = {**fitted, "points": points, "threads": threads, "memory": memory, "machine": machine()}
         result = _result(series) if out is None else write_report(series, Path(out))
         tell(f"{quantity}: time grows with exponent {fitted['exponent']:.2f}")

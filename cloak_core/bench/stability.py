@@ -28,6 +28,7 @@ from cloak_core.bench.oracle import (
 from cloak_core.bench.stability_cases import CASES, Case
 from cloak_core.bench.stability_checks import CHECKS
 from cloak_core.bench.views import machine
+from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.core.visibility.packing import DEPTH_BITS
 from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, rasterize
@@ -37,11 +38,17 @@ AREA = 1e-6
 """Largest difference, as a share of a pixel, between areas that are to be the same."""
 
 
-def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict:
+def run_bench_stability(
+    grids: tuple[int, ...] = (1, 2),
+    seeds: int = 3,
+    on_progress: OnProgress = lambda done, total: None,
+) -> dict:
     """Run all cases, at 1 and 4 samples per pixel and by area. `mismatches` must be 0."""
     rows = {}
     worst = Fraction(0)
+    total = len(CASES) + len(CHECKS) + len(HOSTILE)
     for name, make in CASES.items():
+        on_progress(len(rows), total)
         wrong = count = 0
         for seed in range(seeds):
             case = make(np.random.default_rng(seed))
@@ -54,6 +61,7 @@ def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict
             worst = max(worst, depth_error(case))
         rows[name] = {"cases": count, "mismatches": wrong}
     for name, check in {**CHECKS, **HOSTILE}.items():
+        on_progress(len(rows), total)
         outcome = check()
         wrong, remark = outcome if outcome is not None else (0, "not run: there is no such device here")
         rows[name] = {"cases": int(outcome is not None), "mismatches": wrong} | ({"remark": remark} if remark else {})

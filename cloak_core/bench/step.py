@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import statistics
 import sys
 import tempfile
@@ -30,13 +31,16 @@ from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.jobs.job import Tell
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.studies.pace import in_turn
 from cloak_core.studies.trainings.run_record import TrainingData
 from cloak_core.studies.trainings.training import make_material
 
+_log = logging.getLogger(__name__)
 WARM_UP = 3
 """Rounds that are not counted: what allocates, compiles and plans on first use."""
 
@@ -51,6 +55,7 @@ def run_bench_step(
     people: Sequence[Fit] = (),
     threads: int = 2,
     repeats: int = 20,
+    tell: Tell = _log.info,
 ) -> dict:
     """C6's record: {SPEC: {"batch", "floor_ms", "step_ms", "ratio", "overhead_ms_per_image", "parts_ms", ...}}.
 
@@ -62,14 +67,17 @@ def run_bench_step(
     is what they leave of step - floor: negative where a batch is built beside the detector, positive where both fight
     for cores and caches. `settings` (default: preset best, batch 8) decide batch, size, device and views; with a range
     of distances, and with `people` in photographs (default: preset photographs, which trains a cloth), every image pays
-    for a view of its own. Logo: chest and thighs unless given; with people shirt and trousers.
+    for a view of its own. Logo: chest and thighs unless given; with people shirt and trousers. `tell` hears of each
+    detector before it is timed.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     settings = settings or make_settings("photographs" if people else "best")
     with torch_threads(threads):
+        tell("building views that the clock does not count")
         bench = Bench(bodies, logo_faces, backgrounds, settings, people)
-        return {detector.spec: bench.measure([detector], repeats) for detector in detectors} | {
+        turns = in_turn(detectors, lambda detector: f"{detector.name}, {repeats} steps", tell)
+        return {detector.spec: bench.measure([detector], repeats) for detector in turns} | {
             "threads": threads,
             "machine": machine(settings.compute.device),
         }

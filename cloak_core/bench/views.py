@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import time
@@ -21,8 +22,11 @@ from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
+from cloak_core.jobs.job import Tell
 from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.studies.pace import in_turn
 
+_log = logging.getLogger(__name__)
 BATCH = 8
 """Views at once."""
 
@@ -34,6 +38,7 @@ def run_bench_views(
     repeats: int = 20,
     device: str = "cpu",
     camera: Camera | None = None,
+    tell: Tell = _log.info,
 ) -> dict:
     """Time one view at a time, milliseconds (of the clock that `clock` says): median and least of `repeats` runs.
 
@@ -41,13 +46,15 @@ def run_bench_views(
     cached is a render of a chest-and-thighs logo onto a ready
     background together with its gradient. Under by_samples, visibility and new view for every number of samples and for
     coverage by area, and how many times as long `BATCH` views at once take (medians of a quarter of the runs).
-    samples: the only way to be timed; None: all of them, 1 in full.
+    samples: the only way to be timed; None: all of them, 1 in full. `tell` hears of each before it is timed.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
     camera = camera or Camera(azimuth=-10.0)
     with torch_threads(threads):
+        kinds = (*GRIDS, "area") if samples is None else (samples,)
+        tell(f"{repeats} repetitions of everything at {samples or 1} a pixel")
         cache = _cache(bodies, samples or 1, device)
         key = [(0, camera)]
         result = {
@@ -56,7 +63,7 @@ def run_bench_views(
             "cached_ms": timed(cached_render(cache, camera), repeats, device),
             "by_samples": {
                 str(kind): _one_and_many(_cache(bodies, kind, device), camera, repeats)
-                for kind in ((*GRIDS, "area") if samples is None else (samples,))
+                for kind in in_turn(kinds, "samples a pixel: {}".format, tell)
             },
         }
         measured = {"threads": threads, "clock": clock(device), "machine": machine(device)}

@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from cloak_core.commands.base import Command, err, load_scene, out, require_new
 from cloak_core.commands.options import DetectorOptions, keep_freed_memory
+from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Range
 from cloak_core.core.visibility.settings import RenderOptions
 from cloak_core.files.writing import write_text
@@ -72,7 +73,10 @@ class Views(Timed):
     def run(self) -> dict:
         from cloak_core.bench.views import run_bench_views
 
-        return run_bench_views(**self.given())
+        return run_bench_views(**self.given(), tell=err.print)
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("bench", "accuracy", "--scene", str(self.scene), "--only", "bench")
 
 
 @dataclass(kw_only=True)
@@ -121,10 +125,18 @@ class Step(Timed):
             people=people,
             threads=self.threads,
             repeats=self.repeats,
+            tell=err.print,
         )
         if self.out is not None:
             write_text(self.out, step_table(result))
         return result
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("bench", "detectors", *_named(self.detector))
+
+
+def _named(specs: Sequence[str]) -> list[str]:
+    return [word for spec in specs or ("builtin",) for word in ("--detector", spec)]
 
 
 def _fits(people: str | None, images: Path | None) -> Sequence[Fit]:
@@ -156,10 +168,13 @@ class Detectors(Timed):
         if self.out is not None:
             require_new(self.out)
         how = self.given("detector", "out", "options") | self.options.arguments()
-        result = run_bench_detectors(self.detector or ("builtin",), **how)
+        result = run_bench_detectors(self.detector or ("builtin",), **how, tell=err.print)
         if self.out is not None:
             write_table(result, self.out, self.device)
         return result
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("bench", "step", *_named(self.detector))
 
 
 @dataclass(kw_only=True)
@@ -184,6 +199,9 @@ class Accuracy(Bench):
         from cloak_core.bench.accuracy import run_bench_accuracy
 
         return run_bench_accuracy(load_scene(self.scene), tell=err.print, **self.given("scene"))
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("bench", "growth", "--quick")
 
 
 @dataclass(kw_only=True)
@@ -222,6 +240,9 @@ class Growth(Bench):
         more = {"only": self.only, "out": self.out, "people": people, "most": self.most}
         return run_bench_growth(self.threads, memory, self.quick, tell=err.print, **more)
 
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("bench", "stability")
+
 
 @dataclass(kw_only=True)
 class Gpu(Bench):
@@ -249,6 +270,9 @@ class Gpu(Bench):
             del result["failed"]
         return result
 
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("bench", "growth", "--quick") if result["measured"] else ("bench", "stability")
+
 
 @dataclass(kw_only=True)
 class Stability(Bench):
@@ -260,7 +284,11 @@ class Stability(Bench):
     def run(self) -> dict:
         from cloak_core.bench.stability import run_bench_stability
 
-        result = run_bench_stability()
+        with counted("checking", unit="cases") as tell:
+            result = run_bench_stability(on_progress=tell)
         if result["mismatches"]:
             result["failed"] = f"{result['mismatches']} mismatches in {result['cases']} cases"
         return result
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("bench", "accuracy", "--scene", "sample", "--only", "bench")

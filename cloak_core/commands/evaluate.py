@@ -168,9 +168,11 @@ class Report(Command):
     def run(self) -> dict:
         from cloak_core.products.run_report import make_report
         from cloak_core.studies.trained_run import read_run
+        from cloak_core.zoo.entry import best_run
 
-        read_run(self.run_folder)
-        return {"report": str(make_report(self.run_folder))}
+        folder = best_run(self.run_folder)
+        read_run(folder)
+        return {"report": str(make_report(folder))}
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['report']}: open it in a browser")

@@ -29,7 +29,7 @@ class Sweep(Sharing):
     """
 
     example = "grid.toml --out sweep"
-    next_why = "the run with the highest success in training, on what it never saw"
+    next_why = "its run with the highest success in training, on what that never saw"
 
     grid: Positional[Path]
     """TOML file with [base] and [grid]."""
@@ -70,6 +70,4 @@ class Sweep(Sharing):
             raise Stopped(result["stopped"])
 
     def following(self, result: dict) -> tuple[str, ...]:
-        done = [row for row in result["results"] if "success" in row]
-        best = max(done, key=lambda row: row["success"], default=None)
-        return () if best is None else ("evaluate", str(self.out / best["out"]))
+        return ("evaluate", str(self.out)) if any("success" in row for row in result["results"]) else ()

@@ -41,7 +41,6 @@ class Train(Detecting):
     """
 
     example = "--scene sample:train --logo chest+thighs --detector builtin --out runs/first"
-    next_why = "on what training never saw"
     common = (
         *(
             "scene",
@@ -204,12 +203,40 @@ class Train(Detecting):
             more = "" if self.extend is not None else " with --resume"
             raise Stopped(f"{result['stopped']}; the same command{more} goes on")
 
+    @property
+    def next_why(self) -> str:
+        """What evaluation is good for; with people, who they must be where the command cannot name them."""
+        if self.people and _other_people(self.people) is None:
+            return f"{OTHERS}: people that were not trained on"
+        return "on what training never saw"
+
     def following(self, result: dict) -> tuple[str, ...]:
         from cloak_core.detectors.loading import runs_code
 
-        judged = ("--people", self.people) if self.people else ()
+        judged = ("--people", _other_people(self.people) or OTHERS) if self.people else ()
+        judged += ("--images", str(self.images)) if self.people and self.images else ()
         named = [word for spec in self.detector if runs_code(spec) for word in ("--detector", spec)]
         return ("evaluate", result["out"], *judged, *named)
+
+
+OTHERS = "OTHERS.json"
+"""Stands for people who were not trained on, where all of a file were."""
+_OTHER_HALF = {"0::2": "1::2", "::2": "1::2", "1::2": "0::2"}
+
+
+def _other_people(people: str) -> str | None:
+    """Name the photographs that `people` leaves out of its file, where they can be told from it; None: nobody."""
+    from cloak_core.sources.bodies.selection import split_selection
+
+    file, selection = split_selection(people)
+    start, _, stop = (selection or "").partition(":")
+    if selection in _OTHER_HALF:
+        return f"{file}[{_OTHER_HALF[selection]}]"
+    if start in ("", "0") and stop.isdecimal():
+        return f"{file}[{stop}:]"
+    if start.isdecimal() and int(start) and selection == f"{start}:":
+        return f"{file}[:{start}]"
+    return None
 
 
 def _begun_on_the_cpu(run: Path) -> bool:

@@ -1,6 +1,7 @@
 """Users' code in our process.
 
-What it raises becomes one line of theirs, what it changes of the process is set back, and the files it reads are known.
+What it raises becomes one line of theirs, as does that it gives no answer; what it changes of the process is set back,
+and the files it reads are known.
 """
 
 from __future__ import annotations
@@ -31,10 +32,52 @@ from cloak_core.files.reading import MAX_TEXT_BYTES, read_bytes
 
 MAX_DATA_BYTES = 64 << 20
 """Of one file of data beside the code that counts for what a detector is; weights are hashed as tensors anyway."""
+MOST_SECONDS = 600.0
+"""Of loading a user's code, and of each call, unless the variable CLOAK_DETECTOR_SECONDS says otherwise (0: none)."""
 _SUFFIX = re.compile(r"\.\w{1,16}\Z")
 _loaded: dict[str, str] = {}
 _opened: dict[Path, set[Path]] = defaultdict(set)
 _watching = threading.local()
+
+
+class NoAnswer(BaseException):
+    """Code of a user's took too long: no `Exception`, so that their own `except Exception` does not go on."""
+
+
+@contextlib.contextmanager
+def limited() -> Iterator[None]:
+    """Raise `NoAnswer` where the block still runs after `MOST_SECONDS`. InputError: the variable is no number.
+
+    Python code and waits (sleep, locks, sockets) are interrupted; native code is not before it returns. Threads beside
+    the main one, Windows, and a process whose alarm somebody else has set are left without a limit.
+    """
+    seconds = _most_seconds()
+    is_ours = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
+    if not seconds or not is_ours or any(signal.getitimer(signal.ITIMER_REAL)):
+        yield
+        return
+
+    def late(*_: object) -> None:
+        raise NoAnswer(f"no answer in {seconds:g} s (the variable CLOAK_DETECTOR_SECONDS allows more)")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _most_seconds() -> float:
+    said = os.environ.get("CLOAK_DETECTOR_SECONDS")
+    try:
+        seconds = MOST_SECONDS if said is None else float(said)
+    except ValueError:
+        seconds = -1.0
+    if not 0 <= seconds < threading.TIMEOUT_MAX:
+        raise InputError(f"CLOAK_DETECTOR_SECONDS: {said!r} is no number of seconds")
+    return seconds
 
 
 @contextlib.contextmanager
@@ -167,6 +210,8 @@ def _words(spec: str, file: str, error: BaseException) -> str:
     if isinstance(error, SyntaxError) and error.filename == file:
         lines.append(error.lineno)
     place = f"{file}:{lines[-1]}: " if lines else ""
+    if isinstance(error, NoAnswer):
+        return f"{spec}: {place}{error}"
     words = f"it ends the process with {error.code}" if isinstance(error, SystemExit) else first_line(error)
     return f"{spec}: {place}{type(error).__name__}: {words}"
 

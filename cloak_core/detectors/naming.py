@@ -57,15 +57,24 @@ def full_spec(spec: str) -> str:
 
 
 def _both_halves(file: Path, spec: str) -> list[str]:
-    """Find a .cfg file's weights beside it, or the other way round: of the same name, or the only ones."""
+    """Find a .cfg file's weights beside it, or the other way round.
+
+    Of the same name, or of that name with an ending as Darknet writes them (NAME_final, NAME_20000), or the only ones.
+    """
     other = ".weights" if file.suffix.lower() == ".cfg" else ".cfg"
     beside = file.with_suffix(other)
     if not beside.is_file():
         there = sorted(file.parent.glob(f"*{other}")) if file.parent.is_dir() else []
+        there = [path for path in there if _is_ended(file.stem, path.stem)] or there
         if len(there) != 1:
             raise InputError(f"detector {spec!r}: no {beside.name} beside it; darknet:CFG:WEIGHTS names both")
         beside = there[0]
     return [str(file), str(beside)] if other == ".weights" else [str(beside), str(file)]
+
+
+def _is_ended(one: str, other: str) -> bool:
+    shorter, longer = sorted((one, other), key=len)
+    return longer.startswith(f"{shorter}_")
 
 
 def _unknown(spec: str, family: str, suffix: str) -> str:

@@ -1,5 +1,6 @@
 """Anyone's own detector: `python:FILE.py:FUNCTION`, a callable that returns a module images -> (boxes, scores)."""
 
+import contextlib
 import importlib.util
 import sys
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.core.detector.scoring import max_person_score
-from cloak_core.detectors.foreign_code import data_beside, excused, set_back, watched
+from cloak_core.detectors.foreign_code import data_beside, excused, limited, set_back, watched
 from cloak_core.detectors.pixels import Placement, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
@@ -135,7 +136,9 @@ class PythonDetector(Detector):
         return found._replace(boxes=placement.restore(found.boxes)) if self.input_size is not None else found
 
     def _run(self, inputs: Float[Tensor, "B 3 H W"]) -> object:
-        with excused(self.spec, self.file):
+        # An object of a program's own may stand at a breakpoint; its signals are the program's.
+        limit = limited() if "function" in self.source else contextlib.nullcontext()
+        with excused(self.spec, self.file), limit:
             try:
                 return self.module(inputs.contiguous(memory_format=self.memory_format))
             except RuntimeError as error:
@@ -190,7 +193,7 @@ def load_python(request: Request) -> PythonDetector:
         raise InputError(f"{file}: no such file")
     file = file.absolute()
     with excused(request.spec, file), set_back(signals=True):
-        with watched(file):
+        with watched(file), limited():
             made = _function(file, function)()
         if not isinstance(made, nn.Module):
             raise InputError(f"{file}: {function}() must return a torch.nn.Module, it returned {type(made).__name__}")

@@ -53,13 +53,22 @@ def _timed(work: Callable[[], None]) -> float:
     return min(seconds) / 2
 
 
-def in_turn(items: Sequence[Item], name: Callable[[Item], str], tell: Callable[[str], None]) -> Iterator[Item]:
-    """Yield the items, and say before each which of how many it is, and about how long it and the rest take."""
+def in_turn(
+    items: Sequence[Item],
+    name: Callable[[Item], str],
+    tell: Callable[[str], None],
+    weight: Callable[[Item], float] = lambda item: 1.0,
+) -> Iterator[Item]:
+    """Yield the items, and say before each which of how many it is, and about how long it and the rest take.
+
+    weight: how long an item takes, in any unit.
+    """
     began = time.monotonic()
+    done, total = 0.0, sum(map(weight, items))
     for number, item in enumerate(items, 1):
         spent = time.monotonic() - began
-        each = spent / max(number - 1, 1)
         is_known = number > 1 and spent > SOON
-        left = f"; about {duration(each * (len(items) - number + 1))} left" if is_known else ""
+        left = f"; about {duration(spent / done * (total - done))} left" if is_known else ""
         tell(f"{number} of {len(items)}: {name(item)}{left}")
         yield item
+        done += weight(item)

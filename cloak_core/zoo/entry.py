@@ -228,9 +228,26 @@ def entry(name: str) -> Entry:
 
 
 def run_path(named: str | os.PathLike) -> Path:
-    """Give the path itself; for `zoo:NAME`, a run folder with that entry's colours, logo and record."""
+    """Give the path itself; for `zoo:NAME`, a run folder with that entry's colours, logo and record.
+
+    The folder of a sweep stands for its run with the highest success in training.
+    """
     text = os.fspath(named)
-    return _run_of(text.removeprefix(MARK)) if text.startswith(MARK) else Path(text)
+    return _run_of(text.removeprefix(MARK)) if text.startswith(MARK) else best_run(Path(text))
+
+
+def best_run(folder: Path) -> Path:
+    """Find the best run of a sweep's folder; any other path stays. InputError: none of its runs has ended."""
+    if not (folder / "sweep.json").is_file():
+        return folder
+    rows = read_json(folder / "sweep.json").get("results")
+    rows = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    ended = [row for row in rows if isinstance(row.get("success"), (int, float)) and isinstance(row.get("out"), str)]
+    if not ended:
+        raise InputError(f"{folder}: a sweep of which no run has ended")
+    best = folder / "runs" / Path(max(ended, key=lambda row: row["success"])["out"]).name
+    _log.info("%s: its run with the highest success in training is %s", folder, best.name)
+    return best
 
 
 @cache

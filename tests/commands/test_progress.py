@@ -1,10 +1,14 @@
 """What long commands tell a program about how far they are."""
 
+from pathlib import Path
+
 import pytest
 
 from cloak_core.cli import load
 from cloak_core.commands.progress import TrainingProgress, counted
+from cloak_core.commands.train import Train
 from cloak_core.core.events import read_events
+from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
 from cloak_core.studies.pace import in_turn
 
@@ -65,9 +69,47 @@ def test_a_list_of_work_is_counted_with_the_time_left(monkeypatch):
     assert said == ["1 of 3: A", "2 of 3: B; about 4 min 0 s left", "3 of 3: C; about 1 min 30 s left"]
 
 
+def test_the_time_left_counts_how_long_each_takes(monkeypatch):
+    clock = iter([0.0, 0.0, 20.0, 60.0])
+    monkeypatch.setattr("cloak_core.studies.pace.time.monotonic", lambda: next(clock))
+    said: list[str] = []
+    assert list(in_turn([1, 2, 7], str, said.append, weight=float)) == [1, 2, 7]
+    assert said == ["1 of 3: 1", "2 of 3: 2; about 3 min 0 s left", "3 of 3: 7; about 2 min 20 s left"]
+
+
+def test_cloaks_that_a_hardening_trains_first_have_their_time(capsys):
+    with TrainingProgress(label="hardening") as progress:
+        progress({"type": "start", "step": 0, "steps": 50})
+        for done in (1, 2):
+            progress({"type": "cloak", "step": 0, "count": done, "of": 2, "time": 120.0 * done})
+    _, first, second = capsys.readouterr().err.strip().splitlines()
+    assert first == "cloaks to begin with: 1 of 2; about 2 min left before the first update"
+    assert second == "cloaks to begin with: 2 of 2"
+
+
+@pytest.mark.parametrize(
+    ("trained_on", "others"),
+    [
+        ("people.json[0::2]", "people.json[1::2]"),
+        ("people.json[1::2]", "people.json[0::2]"),
+        ("people.json[:40]", "people.json[40:]"),
+        ("people.json[40:]", "people.json[:40]"),
+        ("people.json", "OTHERS.json"),
+        ("people.json[3]", "OTHERS.json"),
+        ("people.json[0:]", "OTHERS.json"),
+        ("people.json[2::3]", "OTHERS.json"),
+    ],
+)
+def test_who_trained_on_people_is_told_to_judge_on_others(trained_on, others):
+    command = Train.of(make_settings("photographs"), logo=Path("logo.npy"), out=Path("run"), people=trained_on)
+    assert command.following({"out": "run"}) == ("evaluate", "run", "--people", others)
+    assert ("not trained on" in command.next_why) == (others == "OTHERS.json")
+
+
 LONG = ("train", "evaluate", "wear", "assess", "harden", "sweep", "transfer", "reproduce", "film", "demo")
+BENCHES = ("views", "step", "ranks", "detectors", "accuracy", "growth", "gpu", "stability", "intervals")
 
 
-@pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize("name", [*LONG, *(f"bench {name}" for name in BENCHES)])
 def test_long_commands_end_with_the_next_one(name):
     assert "following" in vars(load(name)), f"cloak {name} says nothing of what comes next"

@@ -11,6 +11,7 @@ from cloak_core import cli
 from cloak_core.core.logo import select_region
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.zoo.entry import run_path
 
 QUICK = {"steps": 3, "batch": 2, "size": 64, "translation": 5, "samples": 1, "angles": "0", "threads": 1}
 
@@ -151,7 +152,11 @@ def test_sweep(logo, tmp_path, capsys):
     record = json.loads(said)
     assert code == 0 and record["done"] == 2 and [r["varied"]["lr"] for r in record["results"]] == [0.01, 0.1]
     code, said, errors = cloak(capsys, "sweep", "grid.toml", "--out", "out")
+    assert "Next: cloak evaluate out  (its run" in said
+    assert run_path("out").parent == Path("out/runs") and (run_path("out") / "config.json").is_file()
     assert code == 0 and "2 of 2 runs done" in said and "run 1" not in errors
+    code, _, said = cloak(capsys, "report", "out")
+    assert code == 0 and (run_path("out") / "report.html").is_file(), said
     (tmp_path / "grid.toml").write_text("[base]\n[grid]\ncolour = [1]\n")
     code, _, said = cloak(capsys, "sweep", "grid.toml", "--out", "other")
     assert code == 2 and said.count("\n") == 1 and "grid.toml" in said and not (tmp_path / "other").exists()

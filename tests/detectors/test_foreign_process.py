@@ -1,6 +1,7 @@
 """Code and files of others leave the process as it was, end in time, and answer what a detector answers."""
 
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,46 @@ def test_a_loop_without_end_is_ended(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(networks, "SECONDS", 0.5)
     with pytest.raises(InputError, match=r"endless\.onnx: a network that takes more than 0\.5 s for an image"):
         load_detector(f"onnx:{tmp_path / 'endless.onnx'}")
+
+
+@pytest.mark.timeout(60, method="thread")  # its other method takes the process's alarm, which is what is tested
+@pytest.mark.parametrize("wait", ["while True: pass", "import time; time.sleep(1000)"])
+@pytest.mark.parametrize("where", ["IMPORT", "LOAD", "CALL"])
+def test_code_that_never_returns_is_ended(where, wait, tmp_path, monkeypatch) -> None:
+    text = CODE.replace(where, wait)
+    for other in ("IMPORT", "CALL", "LOAD"):
+        text = text.replace(other, "pass")
+    file = tmp_path / "hanging.py"
+    file.write_text(text)
+    line = text.splitlines().index(next(row for row in text.splitlines() if wait in row)) + 1
+    monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", "0.3")
+    before = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(InputError, match=rf"hanging\.py:load: .*hanging\.py:{line}: no answer in 0\.3 s"):
+        load_detector(f"python:{file}:load")(torch.zeros(1, 3, 8, 8))
+    assert signal.getsignal(signal.SIGALRM) is before and signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+@pytest.mark.timeout(60, method="thread")
+@pytest.mark.parametrize("said", ["soon", "-1", "nan"])
+def test_a_limit_that_is_no_number_is_refused(said, tmp_path, monkeypatch) -> None:
+    (tmp_path / "quick.py").write_text("import torch\nload = torch.nn.Identity\n")
+    monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", said)
+    with pytest.raises(InputError, match=f"CLOAK_DETECTOR_SECONDS: '{said}' is no number of seconds"):
+        load_detector(f"python:{tmp_path / 'quick.py'}:load")
+
+
+@pytest.mark.timeout(60, method="thread")
+def test_somebody_elses_alarm_is_left_alone(tmp_path, monkeypatch) -> None:
+    (tmp_path / "quick.py").write_text("import torch\nload = torch.nn.Identity\n")
+    monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", "20")
+    before = signal.signal(signal.SIGALRM, lambda *_: None)
+    signal.setitimer(signal.ITIMER_REAL, 1000)
+    try:
+        load_detector(f"python:{tmp_path / 'quick.py'}:load")
+        assert 900 < signal.getitimer(signal.ITIMER_REAL)[0] <= 1000
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @pytest.mark.parametrize("spec", ["builtin@8192", "onnx:a.onnx@5000x20", "python:a.py:load@4097"])

@@ -1,7 +1,7 @@
 """Hostile detectors of `python:`: each works, or is refused in one line that names its file; the process is as before.
 
-The cases are accidents that inference scripts hold, not malice, against which nothing in one process helps: a script
-that never returns hangs whoever calls it.
+The cases are accidents that inference scripts hold, not malice, against which nothing in one process helps. Code that
+never returns is in `test_foreign_process`.
 """
 
 import os

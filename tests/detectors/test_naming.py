@@ -40,6 +40,12 @@ def test_darknet_finds_the_other_half(tmp_path: Path) -> None:
     (tmp_path / "c.weights").touch()
     with pytest.raises(InputError, match=r"no b\.weights beside it; darknet:CFG:WEIGHTS names both"):
         full_spec(str(tmp_path / "b.cfg"))
+    (tmp_path / "b_20000.weights").touch()
+    assert full_spec(str(tmp_path / "b.cfg")) == f"darknet:{tmp_path / 'b.cfg'}:{tmp_path / 'b_20000.weights'}"
+    assert full_spec(str(tmp_path / "b_20000.weights")) == full_spec(str(tmp_path / "b.cfg"))
+    (tmp_path / "b_final.weights").touch()
+    with pytest.raises(InputError, match=r"no b\.weights beside it; darknet:CFG:WEIGHTS names both"):
+        full_spec(str(tmp_path / "b.cfg"))
 
 
 @pytest.mark.parametrize(

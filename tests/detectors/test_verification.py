@@ -64,6 +64,8 @@ class Fake(Detector):
                 scores = scores.detach() + 0 * scores
             case "state":
                 self.state += 1
+            case "another size":
+                boxes = boxes * 32 / images.shape[3]
             case "raises":
                 raise KeyError("weights")
         return Detections(boxes, scores)
@@ -164,6 +166,15 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "my_detector.py"
 def test_the_worked_example() -> None:
     report = verify(load_detector(f"python:{EXAMPLE}:load"), images(4, 90, 120))
     assert report["failed"] == [] and report["white_box"] and report["layout"] == "python"
+
+
+def test_a_forgotten_conversion_of_boxes_is_found_at_another_size(tmp_path: Path) -> None:
+    text = EXAMPLE.read_text("utf-8")
+    forgotten = text.replace("return boxes * boxes.new_tensor([width / SIDE, height / SIDE] * 2)", "return boxes")
+    assert forgotten != text
+    (tmp_path / "forgotten.py").write_text(forgotten)
+    report = verify(load_detector(f"python:{tmp_path / 'forgotten.py'}:load"), images(4, 256, 256))
+    assert report["failed"] == ["another size"] and "4 stay as they were" in report["checks"]["another size"]["words"]
 
 
 def test_a_black_box_of_ones_own(tmp_path: Path) -> None:

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.core.detector.scoring import max_person_score
+from cloak_core.core.detector.scoring import box_iou, max_person_score
 from cloak_core.detectors.verification.comparing import AGREES, BATCH, Apart, apart, gradient_error, gradient_of
 
 ROUNDING = 1e-6
@@ -20,6 +21,8 @@ ROUNDING = 1e-6
 Images = Float[Tensor, "B 3 H W"] | UInt8[Tensor, "B 3 H W"]
 CLEAR = 0.1
 """Boxes with a higher score must be somewhere in the image."""
+SAME_BOX = 0.5
+"""Two boxes that overlap by more (IoU) show the same; a box and its double never do."""
 ROUGH = 0.5
 """A gradient that is further off than `AGREES`, but not so far, may leave a part out on purpose: told, not judged."""
 DESCENTS = 3
@@ -223,6 +226,29 @@ def parity(subject: Subject) -> Finding:
                 worst = Apart(*map(max, worst, apart(found, expected, subject.size)))
     words = f"on {len(subject.images)} images, {_distance(worst, 'it and its original')}"
     return Finding(worst.same, words, {"parity_scores": worst.scores, "parity_boxes_px": worst.boxes_px})
+
+
+@torch.no_grad()
+def other_size(subject: Subject) -> Finding:
+    """Check that boxes grow with the image: the same images at twice the size, by each one's best person.
+
+    A wrapper that forgets to convert boxes from its network's pixels to the image's leaves them where they were. That
+    shows only away from the network's own size. Pixels are repeated, so that a network that resizes images sees the
+    same ones.
+    """
+    images = next(subject.batches())
+    larger = interpolate(images, scale_factor=2, mode="nearest")
+    usual, large = subject.detector(images), subject.detector(larger)
+    grown = stayed = 0
+    for i in range(len(images)):
+        if min(float(max_person_score(row(found, i))) for found in (usual, large)) > CLEAR:
+            before, after = (found.boxes[i, found.scores[i].argmax()] for found in (usual, large))
+            grown += float(box_iou(after, 2 * before)) > SAME_BOX
+            stayed += float(box_iou(after, before)) > SAME_BOX
+    words = f"twice as large: of {len(images)} best boxes {grown} grow with the image, {stayed} stay as they were"
+    if not grown and not stayed:
+        return Finding(None, f"{words}, too few are clear to judge")
+    return Finding(2 * stayed <= len(images), words)
 
 
 def speed(subject: Subject) -> Finding:

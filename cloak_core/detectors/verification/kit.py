@@ -30,6 +30,7 @@ CHECKS: dict[str, Callable[[Subject], Finding]] = {
     "gradient": checks.gradient,
     "descent": checks.descent,
     "parity": checks.parity,
+    "another size": checks.other_size,
     "speed": checks.speed,
 }
 KEYS = ("parity_scores", "parity_boxes_px", "gradient_error", "batch_invariant", "forward_ratio")

@@ -122,6 +122,7 @@ class Hardening:
             while not self.step and len(self.pool.finished) < self._decoys_finished and not reason:
                 self.pool.finish_one()
                 self._save()
+                self._tell("cloak", count=len(self.pool.finished), of=self._decoys_finished)
                 reason = stop.reason(self.seconds)
             while self.step < steps and not reason:
                 self._one_step()
