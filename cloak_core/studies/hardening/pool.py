@@ -44,6 +44,8 @@ DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
 AZIMUTHS, AROUND, SECTOR = 10, 6, 15
 """Azimuths of a cloak; how many of them go all around for every other cloak, and how far the rest stray, degrees: a
 cloak that works from one side alone is the stronger attack there, and to withstand others does not answer it."""
+VIEW_BYTES = 1 << 30
+"""Of views that are kept: building one anew takes a hundredth of an update's time."""
 SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
 NO_PATTERN: Mapping[str, str | float] = {}
@@ -133,7 +135,8 @@ class Pool:
         if self.people:
             faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
         self.device = torch.device(detector.device)
-        rendering = RenderSettings(device=self.device, samples=SAMPLES)
+        room = VIEW_BYTES // 2 if settings.cloths else VIEW_BYTES
+        rendering = RenderSettings(device=self.device, samples=SAMPLES, memory_bytes=room)
         self.view_cache = ViewCache(bodies, rendering)
         self._cloth_views = ViewCache(bodies, rendering, on_cloth=True) if settings.cloths else self.view_cache
         self.centres = face_centres(bodies)
