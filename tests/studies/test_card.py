@@ -21,6 +21,8 @@ from cloak_core.commands.progress import WorkProgress
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import StoreOptions
 from cloak_core.core.logo import area_share
+from cloak_core.core.visibility.threads import torch_threads
+from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
@@ -204,6 +206,17 @@ def test_counts_follow_no_clock(made: tuple[Path, dict, list], tmp_path: Path, m
     again = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", ["builtin-sample"]).run()
     timed = ("seconds", "made")
     assert {key: again[key] for key in again if key not in timed} == {k: made[1][k] for k in again if k not in timed}
+
+
+@pytest.mark.slow
+def test_cloaks_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
+    """A network's sums do: cloaks trained on as many threads as there are would differ, and with them the figures."""
+    colors = {}
+    for threads in (1, 3):
+        assessment = Assessment(make_store(tmp_path / str(threads), load_detector("builtin")), TINY, tmp_path, [])
+        with torch_threads(threads):
+            colors[threads] = assessment._trained(assessment._areas[-1], "0", 4)[0].colors
+    assert np.array_equal(colors[1], colors[3])
 
 
 def test_the_time_is_told_from_a_measured_pace(monkeypatch: pytest.MonkeyPatch) -> None:

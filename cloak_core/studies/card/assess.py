@@ -16,6 +16,7 @@ from cloak_core import __version__
 from cloak_core.core.evaluation.controls import CLOTHING, NATURAL
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.logo import area_share, load_logo
+from cloak_core.core.visibility.threads import one_thread
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
@@ -271,7 +272,9 @@ class Assessment:
         return {"images_per_view": self.size.images_per_view, "controls": BESIDE, "bare": 1}
 
     def _trained(self, faces: Int64[np.ndarray, " L"], angles: str, steps: int) -> list[Trained]:
-        return self.store.train_repetitions(faces, [self.spec], angles=angles, steps=steps)
+        """Train on one thread: another number sums in another order, and hundreds of updates make that a figure."""
+        with one_thread():
+            return self.store.train_repetitions(faces, [self.spec], angles=angles, steps=steps)
 
     def _figures(
         self,

@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 
 from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.visibility.threads import one_thread
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 
@@ -28,7 +29,7 @@ class Pace:
 
     forward: float
     gradient: float
-    """Forward and backward; 0 where there is no gradient."""
+    """Forward and backward on one thread, as cards train; 0 where there is no gradient."""
 
     def seconds(self, costs: Mapping[str, tuple[float, float]]) -> float:
         """Estimate the time of parts, by their costs (see `Work`)."""
@@ -47,10 +48,11 @@ def measure_pace(detector: Detector, size: int) -> Pace:
             detector(images).scores.cpu()
         seconds[0] = (time.monotonic() - started) / CLOCKED
         if detector.differentiable:
-            started = time.monotonic()
-            detector(images.requires_grad_()).scores.sum().backward()
-            images.grad.cpu()
-            seconds[1] = (time.monotonic() - started) / CLOCKED
+            with one_thread():
+                started = time.monotonic()
+                detector(images.requires_grad_()).scores.sum().backward()
+                images.grad.cpu()
+                seconds[1] = (time.monotonic() - started) / CLOCKED
     return Pace(*seconds)
 
 
