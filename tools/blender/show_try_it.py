@@ -60,6 +60,7 @@ def steps():
         assert session.job.state not in ("failed", "stopped"), session.job.message
         yield 0.2
     yield 3.0
+    assert not session.job.is_bad_news, session.job.message
     assert [image.name for image in pictures()] == [PICTURE]
     Path(os.environ["SHOT_READY"]).touch()
     yield 4.0
