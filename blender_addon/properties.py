@@ -131,6 +131,8 @@ class CloakSettings(bpy.types.PropertyGroup):
     frame_step: props.whole("Step", "Frames from one exported pose to the next", 1, min=1)
 
     detectors: CollectionProperty(name="Detectors", description="The person detectors to hide from", type=CloakDetector)
+    # What kind of detector a file of version 0.1 names; 0 for the built-in one.
+    detector: props.whole("", "", options={"HIDDEN"})
     detector_index: props.whole("Detector", "The detector that is chosen in the list")
     backgrounds: props.path(
         "Backgrounds", "Folder of photographs without people; empty for procedural scenes", "DIR_PATH"

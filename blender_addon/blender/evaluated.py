@@ -64,14 +64,16 @@ def numbered_faces(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
                 obj.data.update_tag()
 
 
-def carried_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> np.ndarray | None:
-    """[P] int: the own face that each evaluated face comes from, -1 for none; None where no number came through."""
+def carried_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> np.ndarray:
+    """[P] int: the own face of each evaluated face, -1 for none. Raises `InputError` where no number came through."""
     attribute = evaluated.attributes.get(layer_name(obj.data, CARRIED))
     if attribute is None or attribute.domain != "FACE" or attribute.data_type != "INT" or not len(attribute.data):
-        return None
+        raise InputError(lost_reason(obj))
     own = read(attribute.data, "value", dtype=np.int32) - 1
     strange = (own < 0) | (own >= arrays.face_count(obj))
-    return None if strange.all() else np.where(strange, -1, own)
+    if strange.all():
+        raise InputError(lost_reason(obj))
+    return np.where(strange, -1, own)
 
 
 def modifiers_reason(obj: bpy.types.Object) -> str:
@@ -224,10 +226,7 @@ def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:
         if len(mesh.polygons) == arrays.face_count(obj):
             return _surface(obj, mesh, matrix, np.arange(len(mesh.polygons)))
     with numbered_faces([obj]), arrays.evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
-        own = carried_faces(obj, mesh)
-        if own is None:
-            raise InputError(lost_reason(obj))
-        return _surface(obj, mesh, matrix, own)
+        return _surface(obj, mesh, matrix, carried_faces(obj, mesh))
 
 
 def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, own: np.ndarray) -> Surface:

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.evaluated import carried_faces, changes_faces, keeps_faces, lost_reason, modifiers_reason, numbered_faces
+from ..blender.evaluated import carried_faces, changes_faces, keeps_faces, modifiers_reason, numbered_faces
 from ..blender.faces import logo_mask, logo_names, require_logo
 from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, to_world, topology, vertex_points
 from ..body.garments import Garment, worn_by
@@ -120,8 +120,6 @@ def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bo
         own = None
         if by_own_face and not keeps_faces(obj, mesh):
             own = carried_faces(obj, mesh)
-            if own is None:
-                raise InputError(lost_reason(obj))
             # Polygons of no own face get numbers behind the mesh's last.
             own = np.where(own < 0, len(obj.data.polygons) + np.cumsum(own < 0) - 1, own).astype(np.int32)
         world = to_world(vertex_points(mesh), matrix) * graph.scene.unit_settings.scale_length

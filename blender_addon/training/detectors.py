@@ -126,11 +126,13 @@ def trained_against(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
     specs = tuple(detector.full for detector in settings.detectors if not detector.only_judges)
     if settings.detectors and not specs:
         raise InputError("All detectors only judge: let one be trained against, or add one")
-    return specs or (BUILTIN,)
+    return specs or judges(settings)
 
 
 def judges(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
-    """List all detectors, those to train against first."""
+    """List all detectors, those to train against first. Raises `InputError` while a file of version 0.1 has no list."""
+    if not settings.detectors and settings.detector:
+        raise InputError("This file of version 0.1 names a detector of its own: add it, or the built-in one")
     ordered = sorted(settings.detectors, key=lambda detector: detector.only_judges)
     return tuple(dict.fromkeys(detector.full for detector in ordered)) or (BUILTIN,)
 

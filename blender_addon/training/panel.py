@@ -5,13 +5,13 @@ import time
 
 import bpy
 
-from ..body.objects import active_body, body_reason, logo_reason
+from ..body.objects import active_body, body_reason, logo_reason, refusal
 from ..files.specs import without_folders
 from ..session import session
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import run_list
-from .detectors import CHECK, active_detector
+from .detectors import CHECK, active_detector, judges
 from .operators import kept_reason, train_reason
 from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
 
@@ -59,7 +59,8 @@ class CLOAK_PT_train(CloakPanel, label="4. Train", trains=True):
         side.operator("cloak.detector_add_named", text="", icon="OUTLINER_OB_ARMATURE")
         chosen = active_detector(settings)
         if chosen is None:
-            wrapped(self.layout, context, "Built-in detector; + adds others by their files")
+            if not refusal(judges, settings):  # which is said above Start
+                wrapped(self.layout, context, "Built-in detector; + adds others by their files")
             return
         column = settings_column(self.layout, chosen, "file" if chosen.file else "spec")
         if chosen.file.lower().endswith(".cfg"):

@@ -10,7 +10,7 @@ from ..files.errors import InputError
 from ..session import session
 from ..trainer.preferences import trainer_reason
 from ..translations import said
-from .window import progress_cursor
+from .window import in_window, progress_cursor
 
 PLAIN = {"REGISTER"}
 WITH_UNDO = {"REGISTER", "UNDO"}  # of operators that change the mesh and have ended when they return
@@ -81,7 +81,4 @@ class BodyOperator(CloakOperator):
 
 def push_undo(message: str) -> None:
     """An undo step for what a timer changed, so that the next Ctrl Z does not take it along."""
-    windows = bpy.context.window_manager.windows
-    if not bpy.app.background and len(windows):
-        with bpy.context.temp_override(window=windows[0]):
-            bpy.ops.ed.undo_push(message=message)
+    in_window(lambda: bpy.ops.ed.undo_push(message=message))

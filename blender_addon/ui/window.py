@@ -56,14 +56,20 @@ def redraw(panels_alone: bool = False) -> None:
             area.tag_redraw()
 
 
-def notify(message: str, bad: bool) -> None:
-    """Show a message at the mouse, until that moves away."""
+def in_window(action: Callable[[], object]) -> bool:
+    """Call `action` in the first window; False without a window."""
     windows = bpy.context.window_manager.windows
     if bpy.app.background or not len(windows):
-        return
-    draw = lambda popup, context: popup.layout.label(text=message)
+        return False
     with bpy.context.temp_override(window=windows[0]):
-        bpy.context.window_manager.popup_menu(draw, title="Cloak", icon="ERROR" if bad else "CHECKMARK")
+        action()
+    return True
+
+
+def notify(message: str, bad: bool) -> None:
+    """Show a message at the mouse, until that moves away."""
+    draw = lambda popup, context: popup.layout.label(text=message)
+    in_window(lambda: bpy.context.window_manager.popup_menu(draw, title="Cloak", icon="ERROR" if bad else "CHECKMARK"))
 
 
 def tell_status(words: str) -> None:
@@ -74,14 +80,10 @@ def tell_status(words: str) -> None:
 
 def show_image(image: bpy.types.Image) -> None:
     """Show an image in a window of its own, as Blender shows a render; nothing without a window."""
-    windows = bpy.context.window_manager.windows
-    if bpy.app.background or not len(windows):
-        return
-    with bpy.context.temp_override(window=windows[0]):
-        bpy.ops.wm.window_new()
-    area = windows[-1].screen.areas[0]
-    area.ui_type = "IMAGE_EDITOR"
-    area.spaces.active.image = image
+    if in_window(bpy.ops.wm.window_new):
+        area = bpy.context.window_manager.windows[-1].screen.areas[0]
+        area.ui_type = "IMAGE_EDITOR"
+        area.spaces.active.image = image
 
 
 @contextmanager

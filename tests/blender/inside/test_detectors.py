@@ -10,7 +10,7 @@ from cloak.files.errors import InputError
 from cloak.properties import train_options
 from cloak.result import eye
 from cloak.session import session
-from cloak.training import detectors, panel
+from cloak.training import detectors, operators, panel
 from conftest import folder_of, run_job, wait_for
 from made import add_camera
 from test_eye import watch
@@ -191,3 +191,21 @@ def test_the_eye_looks_with_the_list_and_follows_it(dressed, files):
         assert next(iter(session.eye.seen.glances)) == f"onnx:{files['.onnx']}@conf=0.5"
     finally:
         eye.close_eye()
+
+
+def test_a_file_of_version_0_1_asks_for_its_detector(ready, files, tmp_path):
+    """It named one detector, which the list does not have: nothing trains or judges with another one meanwhile."""
+    bpy.context.scene.cloak.detector = 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
+    settings = bpy.context.scene.cloak
+    asks = "This file of version 0.1 names a detector of its own: add it, or the built-in one"
+    assert operators.train_reason(bpy.context) == asks
+    assert "Built-in" not in said_by(panel.CLOAK_PT_train)
+    for operator in (bpy.ops.cloak.train_start, bpy.ops.cloak.eye):
+        with pytest.raises(RuntimeError, match=asks):
+            operator()
+    bpy.ops.cloak.detector_add_named()
+    run_job()
+    assert not operators.train_reason(bpy.context)
+    assert detectors.trained_against(settings) == ("builtin@conf=0.25",)

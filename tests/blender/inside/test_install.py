@@ -37,7 +37,7 @@ def test_what_blend_files_store_keeps_its_name():
     assert scene_names == (
         "triangulate tint stamp_kind stamp_text stamp_image stamp_size stamp_center stamp_offset "
         "brush_radius brush_mirror heat_share "
-        "pose_source frame_start frame_end frame_step detectors detector_index backgrounds preset config "
+        "pose_source frame_start frame_end frame_step detectors detector detector_index backgrounds preset config "
         "angle_first angle_last angle_step steps device output look live live_seconds judging"
     )
     assert list(marks.KINDS) == [

@@ -94,6 +94,7 @@ def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, 
     bpy.context.scene.cloak.output = str(tmp_path / "runs")
     bpy.ops.cloak.try_it()
     job = run_job(400)
+    assert bpy.context.object.cloak.logo == "front", "the chest alone is seen after 100 steps"
     assert {words.partition(":")[0] for words in told} == {"Sample body", "Training", "Render check", ""} and not told[
         -1
     ]
