@@ -41,14 +41,16 @@ def run_bench_detectors(
     `tell` hears of each detector before it is timed; `options` go to `load_detector`.
     """
     with torch_threads(threads or torch.get_num_threads()):
-        turns = in_turn(specs, lambda spec: f"{short_name(spec)}, {repeats} repetitions", tell)
-        return {spec: _bench(spec, batch, size, repeats, device, options) for spec in turns}
+        detectors = {spec: load_detector(spec, device=device, **options) for spec in specs}
+        turns = in_turn(list(detectors), lambda spec: f"{short_name(spec)}, {repeats} repetitions", tell)
+        return {spec: _bench(detectors[spec], spec, batch, size, repeats, device, options) for spec in turns}
 
 
-def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options: dict) -> dict[str, float]:
+def _bench(
+    detector: Detector, spec: str, batch: int, size: int, repeats: int, device: str, options: dict
+) -> dict[str, float]:
     generator = torch.Generator().manual_seed(0)
     images = torch.rand(batch, 3, size, size, generator=generator).to(device)
-    detector = load_detector(spec, device=device, **options)
     ways: dict[str, Callable[[], None]] = {"forward_ms": lambda: _forward(detector, images)}
     if detector.differentiable:
         plain = {name: value for name, value in options.items() if name not in ("precision", "compiled")}

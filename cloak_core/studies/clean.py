@@ -184,16 +184,15 @@ def verify_specs(
     """Run `verify` for each spec on the folder's pictures and on renders of the sample bodies; return the reports.
 
     original: a detector that all of them must agree with; None for the one that `verify` finds. on_progress: hears
-    (steps done, steps in all): of each spec loading, rendering, and each check.
+    (steps done, steps in all) once the first spec is loaded: rendering, and each check, of each spec.
     """
-    reports, steps = {}, len(CHECKS) + 3
+    reports, steps = {}, len(CHECKS) + 2
     for number, spec in enumerate(specs):
         done = itertools.count(number * steps)
 
         def tell(done: Iterator[int] = done) -> None:
             on_progress(next(done), steps * len(specs))
 
-        tell()
         detector = load(spec)
         tell()
         images = sample_images(natural_size(detector), folder, renders)

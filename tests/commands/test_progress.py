@@ -107,7 +107,7 @@ def test_who_trained_on_people_is_told_to_judge_on_others(trained_on, others):
 
 
 LONG = ("train", "evaluate", "wear", "assess", "harden", "sweep", "transfer", "reproduce", "film", "demo")
-BENCHES = ("views", "step", "ranks", "detectors", "accuracy", "growth", "gpu", "stability", "intervals")
+BENCHES = ("views", "step", "detectors", "accuracy", "growth", "gpu", "stability")
 
 
 @pytest.mark.parametrize("name", [*LONG, *(f"bench {name}" for name in BENCHES)])

@@ -193,7 +193,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         main(["detectors", "verify", spec, "--renders", "2", "--json", "--events", str(tmp_path / "events.jsonl")])
     report = json.loads(capsys.readouterr().out)
     events = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
-    assert [event["step"] for event in events] == [*range(events[0]["steps"] + 1)] == [*range(len(CHECKS) + 4)]
+    assert [event["step"] for event in events] == [*range(events[0]["steps"] + 1)] == [*range(len(CHECKS) + 3)]
     assert end.value.code == 0 and report["spec"] == spec and {*KEYS} <= set(report)
     (tmp_path / "bad.py").write_text(
         "import torch\n\nclass Bad(torch.nn.Module):\n    def forward(self, images):\n"
