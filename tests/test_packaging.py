@@ -18,9 +18,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 WORKFLOWS = ROOT / ".github" / "workflows"
-LEFT = shutil.ignore_patterns(
-    ".git", ".venv*", "runs", "build", "dist", "site", ".*_cache", "__pycache__", "*.egg-info"
-)
+TRACES = shutil.ignore_patterns(".*_cache", "__pycache__", "*.egg-info")
+AT_TOP = shutil.ignore_patterns(".git", ".venv*", "runs", "build", "dist", "site")
 
 
 OUTSIDE = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
@@ -35,11 +34,16 @@ def run(*command: object, **options: object) -> subprocess.CompletedProcess:
     return done
 
 
+def left(folder: str, names: list[str]) -> set[str]:
+    """What a copy of the checkout leaves out."""
+    return TRACES(folder, names) | (AT_TOP(folder, names) if Path(folder) == ROOT else set())
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the sdist, and the wheel that was built of the sdist."""
     folder = tmp_path_factory.mktemp("packaging")
-    shutil.copytree(ROOT, folder / "sources", symlinks=True, ignore=LEFT)
+    shutil.copytree(ROOT, folder / "sources", symlinks=True, ignore=left)
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder / "dist", folder / "sources")
     return folder / "dist"
 
