@@ -33,11 +33,11 @@ class Reproduce(Splitting, Computing, Sharing):
 
     example = "table1 --quick --out runs/reproduce"
 
-    name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")]
+    name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")] = ""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, as in cloak train (default: builtin)."""
     list: bool = False
-    """List the rows of the experiment, with the updates and about the time that each takes here; make nothing."""
+    """List the rows of the experiment (of all without NAME), with updates and about the time here; make nothing."""
     only: UseAppendAction[tuple[str, ...]] = ()
     """Make only this row, by its number or by words of its name (--list shows both), and print its figures."""
     publish: Path | None = None
@@ -49,6 +49,10 @@ class Reproduce(Splitting, Computing, Sharing):
     amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)
 
     def run(self) -> dict:
+        if not self.name:
+            if not self.list:
+                raise InputError("reproduce: needs NAME; cloak reproduce --list shows what there is and how long it takes")
+            self.name = "all"
         if self.list or self.only:
             return self._planned() if self.list else self._rows()
         from cloak_core.experiments.publish import make_page, publish
