@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cloak_core.sources.bodies.opening import load_scene
     from cloak_core.sources.photographs.people import People, load_people
 
-__version__ = "1.0.0"
+__version__ = "2.0.0"
 __all__ = [
     "Backgrounds",
     "Bodies",
