@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.shared_folders import fill_once
+
 ROOT = Path(__file__).resolve().parents[2]
 INSIDE = Path(__file__).parent / "inside"
 GROUPS = 6
@@ -52,12 +54,16 @@ PYTHONS = bpy_pythons()
 @pytest.fixture(scope="session")
 def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The extension as `make extension` builds it, validated by Blender's own tool."""
-    out = tmp_path_factory.mktemp("dist")
+    folder = fill_once(tmp_path_factory, "dist", build)
+    (path,) = folder.glob("*.zip")
+    return path
+
+
+def build(out: Path) -> None:
     command = [PYTHONS[0], str(ROOT / "tools" / "build_extension.py"), "--out", str(out)]
     environment = os.environ | {"CLOAK_TRAINER": sys.executable}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
-    return Path(done.stdout.strip().splitlines()[-1])
 
 
 def test_a_blender_is_there() -> None:
