@@ -1,5 +1,6 @@
 """Shared fixtures; also switches on run-time checks of every type and tensor shape in cloak_core (pytest only)."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -18,6 +19,10 @@ from tests import reliability_record
 settings.register_profile("cloak", deadline=None)
 settings.load_profile("cloak")
 
+# Modules and collected tests are two million objects that live to the end: the garbage collector leaves them alone,
+# which would take it a quarter of the collection's time.
+gc.disable()
+
 # What tests decode stays out of the user's cache.
 os.environ["CLOAK_CACHE"] = "off"
 
@@ -33,6 +38,11 @@ def shared() -> Path:
     if not (folder / "data" / "README.md").exists():
         pytest.skip(f"the measuring data is not there: {folder} (set CLOAK_SHARED)")
     return folder
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_sessionfinish(exitstatus: int) -> None:

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.shared_folders import fill_once
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 WORKFLOWS = ROOT / ".github" / "workflows"
@@ -39,27 +41,31 @@ def left(folder: str, names: list[str]) -> set[str]:
     return TRACES(folder, names) | (AT_TOP(folder, names) if Path(folder) == ROOT else set())
 
 
+def build(folder: Path) -> None:
+    shutil.copytree(ROOT, folder / "sources", symlinks=True, ignore=left)
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder / "dist", folder / "sources")
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the sdist, and the wheel that was built of the sdist."""
-    folder = tmp_path_factory.mktemp("packaging")
-    shutil.copytree(ROOT, folder / "sources", symlinks=True, ignore=left)
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder / "dist", folder / "sources")
-    return folder / "dist"
+    return fill_once(tmp_path_factory, "packaging", build) / "dist"
 
 
 @pytest.fixture(scope="module")
 def python(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Python of an environment with the wheel; the packages that it needs are lent by this one, the checkout is not."""
-    folder = tmp_path_factory.mktemp("environment")
+    (wheel,) = built.glob("*.whl")
+    return fill_once(tmp_path_factory, "environment", lambda folder: install(wheel, folder)) / "bin" / "python"
+
+
+def install(wheel: Path, folder: Path) -> None:
     run(sys.executable, "-m", "venv", "--without-pip", folder)
     python = folder / "bin" / "python"
-    (wheel,) = built.glob("*.whl")
     run(sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps", "--no-index", wheel)
     place = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").stdout.strip())
     # A path in a .pth adds the folder, not the .pth files in it: an editable installation there stays unseen.
     (place / "lent.pth").write_text(sysconfig.get_path("purelib") + "\n", "utf-8")
-    return python
 
 
 def test_one_version_everywhere() -> None:

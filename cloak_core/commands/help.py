@@ -11,6 +11,7 @@ import textwrap
 import types
 import typing
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from tyro.conf import Positional
@@ -69,6 +70,7 @@ def one_command(cls: type[Command], name: str, default: Command | None, everythi
     return "\n".join(lines) + "\n"
 
 
+@cache
 def flags(cls: type[Command]) -> dict[str, str]:
     """List a command's options as they are typed, --steps, each with the first sentence of what it means."""
     options = (option for _, _, options in _groups(cls, None) for option in options if not option.positional)

@@ -40,6 +40,7 @@ def test_a_point_of_people_says_what_each_stage_took(tmp_path: Path, monkeypatch
     assert figures["step_ms"] > figures["floor_ms"] > 0 and 10 < figures["disk_kB"] < 400
 
 
+@pytest.mark.long
 def test_more_detectors_take_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(growth_training, "STEPS", 3)
     assert grow_step(4, None)["floor_ms"] > 1.5 * grow_step(1, None)["floor_ms"]

@@ -1,8 +1,8 @@
 """Runs the add-on's own tests (inside/) against the built and installed extension, under every Blender there is.
 
-Blender as a Python package and torch cannot live in one process (it crashes at exit), so each file of inside/ gets a
-process of its own, under a Python that has bpy: this one when it has, those in .venv-blender* (tools/setup_blender.sh
-makes them), and those named in CLOAK_BPY_PYTHONS. This Python is the one that trains.
+Blender as a Python package and torch cannot live in one process (it crashes at exit), so the files of inside/ get
+processes of their own, under a Python that has bpy: this one when it has, those in .venv-blender*
+(tools/setup_blender.sh makes them), and those named in CLOAK_BPY_PYTHONS. This Python is the one that trains.
 """
 
 import os
@@ -12,14 +12,24 @@ from pathlib import Path
 
 import pytest
 
+from tests.shared_folders import fill_once
+
 ROOT = Path(__file__).resolve().parents[2]
 INSIDE = Path(__file__).parent / "inside"
-LONG = {"test_real_detectors.py", "test_real_judging.py"}
+GROUPS = 6
+"""A process that has Blender and the extension takes more than a second to start."""
+LONG = sorted(path.name for path in INSIDE.glob("test_real_*.py"))
 """With real trainings, and one with files of CLOAK_SHARED: minutes."""
-FILES = [
-    pytest.param(name, marks=[pytest.mark.long, pytest.mark.timeout(1600)] if name in LONG else [])
-    for name in sorted(path.name for path in INSIDE.glob("test_*.py"))
-]
+SHORT = sorted({path.name for path in INSIDE.glob("test_*.py")} - set(LONG))
+
+
+def groups_of_files() -> list:
+    """Return one parameter for each process: the names of its files."""
+    short = [pytest.param(SHORT[i::GROUPS], id="+".join(SHORT[i::GROUPS])) for i in range(GROUPS)]
+    marks = [pytest.mark.long, pytest.mark.timeout(1600)]
+    return short + [pytest.param([name], id=name, marks=marks) for name in LONG]
+
+
 RUN_PYTEST = "import os, pytest, sys; code = pytest.main(sys.argv[1:]); sys.stdout.flush(); os._exit(code)"
 """The bpy package may wait for ever at a regular exit."""
 _PROBE = "import importlib.util as u, sys; sys.exit(not all(u.find_spec(m) for m in ('bpy', 'pytest')))"
@@ -44,23 +54,27 @@ PYTHONS = bpy_pythons()
 @pytest.fixture(scope="session")
 def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The extension as `make extension` builds it, validated by Blender's own tool."""
-    out = tmp_path_factory.mktemp("dist")
+    folder = fill_once(tmp_path_factory, "dist", build)
+    (path,) = folder.glob("*.zip")
+    return path
+
+
+def build(out: Path) -> None:
     command = [PYTHONS[0], str(ROOT / "tools" / "build_extension.py"), "--out", str(out)]
     environment = os.environ | {"CLOAK_TRAINER": sys.executable}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
-    return Path(done.stdout.strip().splitlines()[-1])
 
 
 def test_a_blender_is_there() -> None:
     assert PYTHONS, "no Python with bpy: run tools/setup_blender.sh, or name some in CLOAK_BPY_PYTHONS"
 
 
-@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("files", groups_of_files())
 @pytest.mark.parametrize("python", PYTHONS, ids=lambda python: Path(python).parents[1].name)
-def test_add_on(python: str, file: str, extension: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    seconds = 1500 if file in LONG else 550
-    if file in LONG:
+def test_add_on(python: str, files: list[str], extension: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    seconds = 1500 if files[0] in LONG else 550
+    if files[0] in LONG:
         request.getfixturevalue("shared")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST"))}
     environment |= {
@@ -73,7 +87,13 @@ def test_add_on(python: str, file: str, extension: Path, tmp_path: Path, request
         "LC_ALL": "C.UTF-8",
     }
     command = [python, "-c", RUN_PYTEST, "-c", str(INSIDE / "pytest.ini"), "--rootdir", str(INSIDE)]
-    command += ["-p", "no:cacheprovider", "-q", str(INSIDE / file), f"--basetemp={tmp_path / 'tmp'}"]
+    command += [
+        "-p",
+        "no:cacheprovider",
+        "-q",
+        *(str(INSIDE / file) for file in files),
+        f"--basetemp={tmp_path / 'tmp'}",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=seconds, check=False)
     summary = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
     assert done.returncode == 0, f"{done.stdout[-8000:]}\n{done.stderr[-4000:]}"

@@ -3,12 +3,12 @@
 import json
 import os
 import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from cloak_core.cli import main
 from cloak_core.commands import setup
 from cloak_core.files.errors import InputError
 
@@ -49,7 +49,7 @@ def test_an_environment_with_a_program_is_made(offline, tmp_path):
         setup.Setup(into=place, source=str(make_wheel(tmp_path))).run()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_fails_leaves_nothing_and_is_named(offline, tmp_path, monkeypatch):
     place, wheel = tmp_path / "trainer", make_wheel(tmp_path, "no-such-thing")
     with pytest.raises(InputError, match="the package index has no suitable no-such-thing"):
@@ -94,8 +94,8 @@ def test_what_pip_says_is_put_in_words(said, words):
     assert words in setup.diagnosis(f"Collecting x\n{said}\n", "exit code 1")
 
 
-@pytest.mark.slow
-def test_setup_says_what_this_trainer_is():
-    done = subprocess.run([sys.executable, "-m", "cloak_core", "setup", "--json"], capture_output=True, check=True)
-    about = json.loads(done.stdout)
+def test_setup_says_what_this_trainer_is(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["setup", "--json"])
+    about = json.loads(capsys.readouterr().out)
     assert set(about) == {"cloak", "torch", "python", "device", "program"} and about["torch"][0].isdigit()

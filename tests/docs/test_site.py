@@ -12,6 +12,7 @@ import pytest
 import cloak_core
 from cloak_core.cli import COMMANDS
 from cloak_core.commands.help import summary
+from tests.shared_folders import fill_once
 
 ROOT = Path(__file__).parents[2]
 FETCHED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^>]*>")
@@ -19,11 +20,13 @@ FETCHED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?(?
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("site")
+    return fill_once(tmp_path_factory, "built-site", build) / "site"
+
+
+def build(folder: Path) -> None:
     command = [sys.executable, str(ROOT / "tools" / "build_docs.py"), str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=None)
     assert done.returncode == 0, done.stdout + done.stderr
-    return folder / "site"
 
 
 @pytest.mark.long
@@ -56,15 +59,15 @@ def test_a_dead_link_and_an_unknown_name_fail(tmp_path: Path) -> None:
     (tmp_path / "mkdocs.yml").write_text(settings, "utf-8")
     page = tmp_path / "build" / "docs" / "index.md"
 
-    def build(text: str) -> int:
+    def code_of(text: str) -> int:
         page.write_text(f"# Title\n\n{text}\n", "utf-8")
         command = [sys.executable, "-m", "zensical", "build", "--strict", "--clean"]
         return subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode
 
-    assert build("[itself](index.md#title)") == 0
-    assert build("[dead](absent.md)") != 0
-    assert build("[dead](index.md#absent)") != 0
-    assert build("::: cloak_core.Absent") != 0
+    assert code_of("[itself](index.md#title)") == 0
+    assert code_of("[dead](absent.md)") != 0
+    assert code_of("[dead](index.md#absent)") != 0
+    assert code_of("::: cloak_core.Absent") != 0
 
 
 def test_files_that_the_guide_names_are_there() -> None:

@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
-from cloak_core.sources.photographs.fits import fit_some
 
 
 def refuse(number: int) -> int:
@@ -25,6 +24,8 @@ def die_once(folder: Path, number: int) -> int:
 
 def fit_and_note(people: list, folder: str) -> list[bytes]:
     """Fit people, and count in a file of each how often."""
+    from cloak_core.sources.photographs.fits import fit_some  # torch, which the other jobs do without
+
     packed = fit_some(people)
     for person in people:
         with open(Path(folder, person.photograph), "a") as file:

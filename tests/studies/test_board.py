@@ -12,19 +12,15 @@ import pytest
 from cloak_core.cli import main
 from cloak_core.files.errors import InputError
 from cloak_core.studies.card import board
-from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.board import add_cards, build_board, check_card
 from tests.schemas import validate
-from tests.studies.test_card import TINY, Glow, make_store
+from tests.studies.made_cards import TINY
 
 
-@pytest.fixture(scope="module")
-def cards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def cards(made: tuple[Path, dict, list]) -> Path:
     """Two cards, as cloak assess leaves them."""
-    out = tmp_path_factory.mktemp("cards")
-    Assessment(make_store(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"]).run()
-    Assessment(make_store(out, Glow("dark:net.onnx", False)), TINY, out / "dark", []).run()
-    return out
+    return made[0]
 
 
 @pytest.fixture(autouse=True)

@@ -11,76 +11,27 @@ from types import SimpleNamespace
 import jsonschema
 import numpy as np
 import pytest
-import torch
-from torch import Tensor
 
 from cloak_core.cli import main
 from cloak_core.commands import progress as progress_module
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.progress import WorkProgress
-from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.core.evaluation.settings import StoreOptions
 from cloak_core.core.logo import area_share
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies import store, training_store
 from cloak_core.studies.card import certainty, figures, words
 from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.leaderboard import folder_names, gather, leaderboard_row, write_leaderboard
 from cloak_core.studies.card.page import write_card, write_comparison
-from cloak_core.studies.card.protocol import AREAS, FULL, QUICK, SIZES, STANDARD, Size, nested_areas, updates_needed
+from cloak_core.studies.card.protocol import AREAS, FULL, QUICK, SIZES, STANDARD, nested_areas, updates_needed
 from cloak_core.studies.card.work import Pace, Work, measure_pace
-from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.report import page as page_module
 from cloak_core.studies.statistics_card import stance_of
-from cloak_core.studies.store import RunStore
 from tests.schemas import validate
-
-TINY = Size("tiny", 2, 1, 10, 180, 1, 6, 4, 3, 2, areas=(0.05, 0.76))
-
-
-class Glow(Detector):
-    """A person is what is bright in the middle."""
-
-    def __init__(self, name: str, differentiable: bool = True) -> None:
-        super().__init__(name, name)
-        self.gain = torch.nn.Parameter(torch.tensor(30.0))
-        self.differentiable, self.operating_point = differentiable, 0.25
-        self.freeze()
-
-    def forward(self, images: Tensor) -> Detections:
-        count, _, height, width = images.shape
-        middle = images[:, 0, height // 5 : 4 * height // 5, 2 * width // 5 : 3 * width // 5]
-        score = torch.sigmoid((middle.flatten(1).mean(1) - 0.4) * self.gain)[:, None]
-        box = torch.tensor([0.3 * width, 0.1 * height, 0.7 * width, 0.9 * height])
-        return Detections(box.expand(count, 1, 4), score, score, torch.ones(count, 1, dtype=torch.bool))
-
-
-def make_store(out: Path, detector: Detector) -> RunStore:
-    split = DataSplit(
-        sample_bodies("train").select_poses([0, 9]),
-        sample_bodies("unseen").select_poses([0, 3]),
-        load_backgrounds("procedural:train:4"),
-        load_backgrounds("procedural:test:4"),
-        {detector.spec: detector},
-    )
-    return RunStore(split, StoreOptions(out=out, batch=2, size=48, samples=1, seeds=1), lambda _: None)
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list]:
-    """A folder with the card of a white box and of a black box, the first card, and the progress told."""
-    out, told = tmp_path_factory.mktemp("cards"), []
-    card = Assessment(
-        make_store(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"], lambda *x: told.append(x)
-    ).run()
-    Assessment(make_store(out, Glow("dark:net.onnx", False)), TINY, out / "dark", []).run()
-    for name in ("glow", "dark"):
-        write_card(out / name)
-    return out, card, told
+from tests.studies.made_cards import TINY, Glow, make_store
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ import pytest
 from cloak_core.studies.card import words
 from cloak_core.studies.card.page import write_card
 from cloak_core.studies.report.words import duration, percent
-from tests.studies.test_card import made  # noqa: F401 (a fixture)
 
 TEMPLATE = Path(words.__file__).parents[1] / "report" / "templates" / "card.html"
 FIGURE = re.compile(r"(?<![\w.#-])\d+(?:,\d{3})*(?:\.\d+)?(?: ?%)?(?![\w%])")
@@ -75,7 +74,7 @@ def unknown(folder: Path, page: str) -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["glow", "dark"])
-def test_every_figure_on_the_page_is_the_cards(name: str, made: tuple[Path, dict, list]) -> None:  # noqa: F811
+def test_every_figure_on_the_page_is_the_cards(name: str, made: tuple[Path, dict, list]) -> None:
     folder = made[0] / name
     page = (folder / "card.html").read_text("utf-8")
     assert not unknown(folder, page)
@@ -83,7 +82,7 @@ def test_every_figure_on_the_page_is_the_cards(name: str, made: tuple[Path, dict
 
 
 @pytest.mark.slow
-def test_another_figure_in_the_card_is_another_on_the_page(made: tuple[Path, dict, list], tmp_path: Path) -> None:  # noqa: F811
+def test_another_figure_in_the_card_is_another_on_the_page(made: tuple[Path, dict, list], tmp_path: Path) -> None:
     shutil.copytree(made[0] / "glow", tmp_path / "glow")
     card = json.loads((tmp_path / "glow" / "card.json").read_text("utf-8"))
     card["clean"]["recall_own"], card["white_box"][-1]["success_own"] = 0.37, 0.43

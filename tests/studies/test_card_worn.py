@@ -17,7 +17,7 @@ from cloak_core.studies.cloaked import cloth_colors
 from cloak_core.studies.wearing.clothes import read_clothes
 from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
 from tests.sources.photographs.made_people import write_people
-from tests.studies.test_card import TINY, Glow, make_store
+from tests.studies.made_cards import TINY, Glow, make_store
 
 
 def test_a_picture_repeats_as_cloth() -> None:

@@ -171,6 +171,7 @@ def test_photographs_stand_before_renders_in_the_report(run: Path, path: Path) -
     assert text.index("On people in photographs") < text.index("Clean and cloaked")
 
 
+@pytest.mark.long
 def test_other_colours_printers_and_snapshots_are_judged_on_people(run: Path, path: Path, tmp_path: Path) -> None:
     grey = np.full((len(read_colors(run / "colors.npy")), 3), 0.5, np.float32)
     write_colors(tmp_path / "plain.npy", grey)

@@ -89,7 +89,7 @@ def test_ids_may_be_names_of_images_and_whole_numbers_with_a_point(sound) -> Non
     assert len(load_people(path)) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_value_anywhere_ends_in_a_traceback(sound) -> None:
     """Every place of the record, each with hostile values; what is read is also fitted."""
     path, record = sound
