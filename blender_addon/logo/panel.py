@@ -47,7 +47,9 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         side.operator("cloak.logo_new", text="", icon="ADD")
         side.operator("cloak.logo_remove", text="", icon="REMOVE")
         column.operator("wm.tool_set_by_id", text="Paint with a Brush", icon="BRUSH_DATA").name = PAINT
-        _buttons(column, "assign", "unassign", "select")
+        row = column.row(align=True)
+        for name in ("assign", "unassign", "select"):
+            row.operator(f"cloak.logo_{name}")
 
     def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
         stats = overlay.active_stats(obj)
@@ -66,13 +68,6 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
             row.prop(bpy.data.objects[name].cloak, "left_out", text="Leave It Out", toggle=True)
         if stats.hidden:
             lines.label(text=said(f"{stats.hidden:,} faces are hidden (Alt H shows them)"), icon="HIDE_ON")
-
-
-def _buttons(column: bpy.types.UILayout, *names: str) -> None:
-    """Operators of the active logo in one row."""
-    row = column.row(align=True)
-    for name in names:
-        row.operator(f"cloak.logo_{name}")
 
 
 class CLOAK_PT_regions(CloakPanel, label="More Ways to a Logo", inside="logo"):
