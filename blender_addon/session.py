@@ -25,7 +25,7 @@ class Session:
     runs: dict[str, Any] = field(default_factory=dict)
     """The runs of the panel's list, by their paths; the latest first."""
     runs_drawn: float = 0.0  # when the list was last drawn, on the monotonic clock
-    panel_drawn: float = 0.0  # when a panel that shows jobs was last drawn, on the monotonic clock
+    panel_seen: bool = False  # whether a panel that shows jobs was drawn since it was last asked to
     viewports: dict[int, str] = field(default_factory=dict)
     """What Solid viewports took colours from before they showed ours, by the addresses of their spaces."""
     clicked_run: str = ""  # the run that was chosen while no body was active

@@ -37,6 +37,8 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         column = self.gate(context, reason)
         if not reason:
             self._list(column, active_body(context))
+            if logo_reason(context):
+                column.operator("cloak.logo_stamp", text="Stamp New Logo", icon="SORTALPHA").add = False
             self._stats(column, active_body(context))
             column.prop(context.scene.cloak, "tint")
 
@@ -63,9 +65,8 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
             lines.label(text="Empty: select faces and press Assign", icon="ERROR")
         for name, share in stats.covered:
             wrapped(lines, bpy.context, f"{name} covers {share:.0%} of the logo", icon="ERROR")
-            row = lines.row(align=True)
-            row.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
-            row.prop(bpy.data.objects[name].cloak, "left_out", text="Leave It Out", toggle=True)
+            lines.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
+            lines.prop(bpy.data.objects[name].cloak, "left_out", text="Leave It Out", toggle=True)
         if stats.hidden:
             lines.label(text=said(f"{stats.hidden:,} faces are hidden (Alt H shows them)"), icon="HIDE_ON")
 
