@@ -114,14 +114,17 @@ class Job:
             self.progress = read_events(self._events)
         if code is None:
             return True
-        # Of a trainer that somebody else started there is no output.
-        self.outputs.append(self._out.read_text("utf-8", "replace") if self._out.is_file() else "")
+        self.outputs.append(self._said())
         if code == 0 and not self._cancelled and len(self.outputs) < len(self._commands):
             self._process = None
             self.start_or_fail()
             return self.running
         self._finish(*self._verdict(code))
         return False
+
+    def _said(self) -> str:
+        """What the command that has ended said on standard output; of a trainer that somebody else started, nothing."""
+        return self._out.read_text("utf-8", "replace") if self._out.is_file() else ""
 
     def _verdict(self, code: int) -> tuple[str, str]:
         if code == STOPPED or (self._cancelled and code != 0):
