@@ -58,9 +58,9 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         if stats is None:
             return
         lines = column.column(align=True)
+        lines.use_property_split = False
         figure(lines, f"{stats.faces:,} faces, {stats.area_share:.1%} of the area", AREA, "FACESEL")
-        front = f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}"
-        figure(lines, front, PROJECTED)
+        figure(lines, f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}", PROJECTED)
         if not stats.faces:
             lines.label(text="Empty: select faces and press Assign", icon="ERROR")
         for name, share in stats.covered:
