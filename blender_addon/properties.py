@@ -211,11 +211,11 @@ HOOKS = Hooks(
     ("load_post", marks.mark_former),
 )
 CLASSES = (CloakObject, CloakJudging, CloakDetector, CloakSettings)
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     bpy.types.Object.cloak = PointerProperty(type=CloakObject)
     bpy.types.Scene.cloak = PointerProperty(type=CloakSettings)
     HOOKS.register()
@@ -225,5 +225,4 @@ def unregister() -> None:
     HOOKS.unregister()
     del bpy.types.Scene.cloak
     del bpy.types.Object.cloak
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

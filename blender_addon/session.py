@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-T = TypeVar("T")
+FEW = 30  # objects, about which it is quicker to ask one by one than about the whole scene
 
 
 @dataclass
@@ -25,7 +25,7 @@ class Session:
     runs: dict[str, Any] = field(default_factory=dict)
     """The runs of the panel's list, by their paths; the latest first."""
     runs_drawn: float = 0.0  # when the list was last drawn, on the monotonic clock
-    panel_drawn: float = 0.0  # when a panel that shows jobs was last drawn, on the monotonic clock
+    panel_seen: bool = False  # whether a panel that shows jobs was drawn since it was last asked to
     viewports: dict[int, str] = field(default_factory=dict)
     """What Solid viewports took colours from before they showed ours, by the addresses of their spaces."""
     clicked_run: str = ""  # the run that was chosen while no body was active
@@ -34,7 +34,7 @@ class Session:
     mesh_changes: int = 0  # grows when any mesh changes shape, and when the frame does
     mesh_changed_at: float = 0.0  # when it last grew, on the monotonic clock
     keeps: bool = False  # whether `kept` may keep: in a window, whose handlers hear of changes before the next redraw
-    _kept: dict[object, Any] = field(default_factory=dict)
+    _kept: dict[object, tuple[set, set]] = field(default_factory=dict)  # what was found; what has changed since
 
     @property
     def job(self) -> Any:
@@ -54,17 +54,25 @@ class Session:
         """The job that trains a run, or will."""
         return next((job for job in self.jobs if job.active and getattr(job, "run", None) == run), None)
 
-    def kept(self, key: object, compute: Callable[[], T]) -> T:
-        """What `compute` returns, for redraws: kept until anything in the scene changes."""
-        if not self.keeps:
-            return compute()
-        if key not in self._kept:
-            self._kept[key] = compute()
-        return self._kept[key]
+    def kept(self, find: Callable[[Any, set | None], set], obj: Any) -> set:
+        """The objects that `find(obj, among)` chooses, for redraws: kept, and asked again only of those that changed.
 
-    def note_change(self, geometry: bool) -> None:
-        """Note that something in the scene changed; with `geometry` the shape of a mesh did."""
-        self._kept.clear()
+        among: some objects, None for all of the scene, of which is asked where much changed, or `obj` itself.
+        """
+        found, changed = self._kept.get((find, obj.session_uid), (None, set()))
+        if found is None or obj in changed or len(changed) > FEW or not self.keeps:
+            found = find(obj, None)
+        elif changed:
+            found = (found - changed) | find(obj, changed)
+        self._kept[find, obj.session_uid] = found, set()
+        return found
+
+    def note_change(self, geometry: bool, changed: set | None = None) -> None:
+        """Note that these objects changed, None for anything else; with `geometry` the shape of a mesh did."""
+        if changed is None:
+            self._kept.clear()
+        for _, since in self._kept.values():
+            since |= changed
         if geometry:
             self.mesh_changes += 1
             self.mesh_changed_at = time.monotonic()

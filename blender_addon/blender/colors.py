@@ -253,8 +253,7 @@ def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
 
 
 def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
-    shown = (index for index, material in enumerate(mesh.materials) if is_cloak(material))
-    return next(shown, None)
+    return next((index for index, material in enumerate(mesh.materials) if is_cloak(material)), None)
 
 
 # --- what the body looks like without a cloak ------------------------------------------------------------------------

@@ -151,13 +151,12 @@ def remove_logo(obj: bpy.types.Object, name: str) -> None:
 def import_face_list(obj: bpy.types.Object, path: Path) -> str:
     """A new logo from a face list; checked against the mesh. Returns its name."""
     face_list = read_face_list(path)
-    own = topology(obj)
+    with arrays.current_mesh(obj) as mesh:  # one copy for both
+        own, counts = topology(obj), arrays.corner_counts(mesh)
     if face_list.topology not in (None, own):
         raise InputError(
             f"{path}: made for topology {face_list.topology}, but '{obj.name}' has {own}: choose its own mesh"
         )
-    with arrays.current_mesh(obj) as mesh:
-        counts = arrays.corner_counts(mesh)
     if face_list.index_of == "triangle" and (counts != 3).any():
         raise InputError(f"{path}: counts triangles, but '{obj.name}' has larger faces: triangulate it first")
     if face_list.ids[-1] >= len(counts):

@@ -20,6 +20,7 @@ from ..blender.marks import COLORS
 from ..blender.mesh_arrays import box_of, read, require_object_mode, to_world, topology
 from ..files.errors import InputError
 from ..session import session
+from .objects import below
 
 
 def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -55,43 +56,46 @@ def worn_by(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 def wearable(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """List the worn objects, with the ones that the user left out."""
-    return [o for o in session.kept(("on", obj.session_uid), lambda: on_body(obj)) if o.type == "MESH"]
+    return [o for o in _seen_on(obj) if o.type == "MESH"]
 
 
 def unseen_on(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """What lies on the body and the camera does not see, because it is no mesh: hair, text, instances."""
-    return [o for o in session.kept(("on", obj.session_uid), lambda: on_body(obj)) if o.type != "MESH"]
+    return [o for o in _seen_on(obj) if o.type != "MESH"]
 
 
-def on_body(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Every visible object with a surface that is tied to the body or lies on it, by name; not kept."""
-    objects = bpy.context.view_layer.objects
-    armature, worn = armature_of(obj), set(obj.children_recursive)
+def _seen_on(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    return sorted((o for o in session.kept(on_body, obj) if o.visible_get()), key=lambda o: o.name)
+
+
+def on_body(obj: bpy.types.Object, among: set | None) -> set:
+    """Every object with a surface, among some (None for all), that is tied to the body or lies on it; seen or not."""
+    objects = bpy.context.view_layer.objects if among is None else list(among)
+    armature, worn = armature_of(obj), below(obj, among)
     if armature is not None:
         worn.update(o for o in objects if armature_of(o) == armature)
     # A copy of the body lies where the body does, and is not worn by it.
     copy_of = lambda o: o.type == "MESH" and len(o.data.polygons) == len(obj.data.polygons)
     worn.update(o for o in objects_near(objects, box_of(obj)) if not copy_of(o))
     worn.discard(obj)
-    return sorted((o for o in worn if _has_surface(o) and o.visible_get()), key=lambda o: o.name)
+    shows = lambda o: len(o.data.polygons) if o.type == "MESH" else o.instance_type == "COLLECTION"
+    return {o for o in worn if o.type in SURFACES or shows(o)}
 
 
-def _has_surface(obj: bpy.types.Object) -> bool:
-    if obj.type == "MESH":
-        return bool(len(obj.data.polygons))
-    return obj.type in SURFACES or (obj.type == "EMPTY" and obj.instance_type == "COLLECTION")
-
-
-def objects_near(objects: bpy.types.bpy_prop_collection, box: np.ndarray) -> list[bpy.types.Object]:
+def objects_near(objects: bpy.types.bpy_prop_collection | list, box: np.ndarray) -> list[bpy.types.Object]:
     """The objects that lie on a body by their boxes in the world, and are not much larger; the body's own [2, 3].
 
     In one pass of numpy: Python takes a tenth of a millisecond for each object of a scene.
     """
-    corners = read(objects, "bound_box", 24).reshape(-1, 8, 3)
+    if isinstance(objects, list):
+        corners = np.float32([np.array(o.bound_box) for o in objects])
+        matrices = np.float32([o.matrix_world.transposed() for o in objects])
+    else:
+        corners, matrices = read(objects, "bound_box", 24), read(objects, "matrix_world", 16)
+    corners, matrices = corners.reshape(-1, 8, 3), matrices.reshape(-1, 4, 4)  # matrices of columns
     first, last = corners[:, 0].copy(), corners[:, 6].copy()  # the lowest and the highest corner
     for index in np.flatnonzero((first == last).all(1)).tolist():
         first[index], last[index] = _instances_box(objects[index])
-    matrices = read(objects, "matrix_world", 16).reshape(-1, 4, 4)  # of columns
     turn, extent = matrices[:, :3, :3], box[1] - box[0]
     middle = np.einsum("ni,nij->jn", (first + last) / 2, turn) + matrices[:, 3, :3].T
     # Half a box's extent along the axes of the world; a flat object gets a thickness, to have a volume to compare.

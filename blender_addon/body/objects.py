@@ -16,6 +16,7 @@ from ..blender.faces import logo_names
 from ..blender.marks import ORIGINAL_FACE, PREFIX, free_name, layer_name, mark
 from ..blender.mesh_arrays import bmesh_of
 from ..files.errors import InputError
+from ..session import session
 
 NO_BODY = "Choose a body first"
 
@@ -32,13 +33,20 @@ def object_of(uid: int) -> bpy.types.Object | None:
     return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
 
 
+def below(obj: bpy.types.Object, among: set | None) -> set:
+    """Those among some objects (None for all) that are the object's children, or theirs."""
+    if among is None:
+        return set(obj.children_recursive)
+    return {one for one in among if one.parent and (one.parent == obj or below(obj, {one.parent}))}
+
+
 def require_body(obj: bpy.types.Object | None) -> None:
     """Raise `InputError` unless `obj` is a local, single-user mesh object with faces."""
     if obj is None:
         raise InputError("No active object: click the character's mesh in the viewport")
     if obj.type != "MESH":
-        meshes = [child.name for child in obj.children_recursive if child.type == "MESH"]
-        hint = f"click '{meshes[0]}' instead" if meshes else "click the character's mesh in the viewport"
+        meshes = [child.name for child in session.kept(below, obj) if child.type == "MESH"]
+        hint = f"click '{min(meshes)}' instead" if meshes else "click the character's mesh in the viewport"
         raise InputError(f"'{obj.name}' is not a mesh ({obj.type.lower()}): {hint}")
     mesh = obj.data
     library = obj.library or mesh.library
@@ -187,9 +195,15 @@ def logo_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why there is no logo to train."""
     if logo_names(obj.data):
         return ""
-    if others := [o.name for o in context.view_layer.objects if o.type == "MESH" and o != obj and logo_names(o.data)]:
-        return f"No logo on '{obj.name}'; '{others[0]}' has one: click that, or make one here"
+    if others := session.kept(_wearing_logos, obj):
+        return f"No logo on '{obj.name}'; '{min(o.name for o in others)}' has one: click that, or make one here"
     return "Make a logo first"
+
+
+def _wearing_logos(obj: bpy.types.Object, among: set | None) -> set:
+    objects = bpy.context.view_layer.objects if among is None else among
+    has_logo = functools.cache(logo_names)  # thousands of objects may share a mesh
+    return {o for o in objects if o.type == "MESH" and o != obj and has_logo(o.data)}
 
 
 @of_the_body

@@ -206,15 +206,19 @@ def _shown_colors(obj: bpy.types.Object) -> str:
 
 @persistent
 def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """Note changes; selecting or moving an object changes no logo."""
-    meshes = (bpy.types.Object, bpy.types.Mesh)
+    """Note changes; selecting or moving an object changes no logo.
+
+    Links, parents and instances, which may concern any object, update a scene and objects, or a collection, together; a
+    scene alone tells what is selected or hidden.
+    """
+    meshes, ids = (bpy.types.Object, bpy.types.Mesh), [update.id.original for update in graph.updates]
     shapes = any(update.is_updated_geometry and isinstance(update.id, meshes) for update in graph.updates)
-    session.note_change(geometry=shapes)
+    changed = {one for one in ids if isinstance(one, bpy.types.Object)}
+    whole = (bpy.types.Scene, bpy.types.Collection) if changed else bpy.types.Collection
+    session.note_change(shapes, changed if ids and not any(isinstance(one, whole) for one in ids) else None)
 
 
-@persistent
-def _note_change(*_: object) -> None:
-    session.note_change(geometry=True)
+_note_change = persistent(lambda *_: session.note_change(geometry=True))
 
 
 def _forget() -> None:

@@ -91,18 +91,12 @@ touches; with X-Ray on, also those behind, all through the body"""
             for _ in range(int(way.length / spacing)):
                 self._last = self._last + way.normalized() * spacing
                 self._touch(context, self._last)
-        elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
-            return self._finish(context)
-        elif event.type in {"ESC", "RIGHTMOUSE"}:
-            self._preview.unregister()
-            context.area.tag_redraw()
-            return {"CANCELLED"}
-        return {"RUNNING_MODAL"}
-
-    def _finish(self, context: bpy.types.Context) -> set[str]:
+        ends = event.type == "LEFTMOUSE" and event.value == "RELEASE"
+        if not ends and event.type not in {"ESC", "RIGHTMOUSE"}:
+            return {"RUNNING_MODAL"}
         self._preview.unregister()
         context.area.tag_redraw()
-        if not self._painted.any():
+        if not ends or not self._painted.any():
             return {"CANCELLED"}
         return self.attempt(self._write, self._obj, self._surface, np.flatnonzero(self._painted))
 

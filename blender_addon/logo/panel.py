@@ -37,6 +37,8 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         column = self.gate(context, reason)
         if not reason:
             self._list(column, active_body(context))
+            if logo_reason(context):
+                column.operator("cloak.logo_stamp", text="Stamp New Logo", icon="SORTALPHA").add = False
             self._stats(column, active_body(context))
             column.prop(context.scene.cloak, "tint")
 
@@ -47,32 +49,26 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         side.operator("cloak.logo_new", text="", icon="ADD")
         side.operator("cloak.logo_remove", text="", icon="REMOVE")
         column.operator("wm.tool_set_by_id", text="Paint with a Brush", icon="BRUSH_DATA").name = PAINT
-        _buttons(column, "assign", "unassign", "select")
+        row = column.row(align=True)
+        for name in ("assign", "unassign", "select"):
+            row.operator(f"cloak.logo_{name}")
 
     def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
         stats = overlay.active_stats(obj)
         if stats is None:
             return
         lines = column.column(align=True)
+        lines.use_property_split = False
         figure(lines, f"{stats.faces:,} faces, {stats.area_share:.1%} of the area", AREA, "FACESEL")
-        front = f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}"
-        figure(lines, front, PROJECTED)
+        figure(lines, f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}", PROJECTED)
         if not stats.faces:
             lines.label(text="Empty: select faces and press Assign", icon="ERROR")
         for name, share in stats.covered:
             wrapped(lines, bpy.context, f"{name} covers {share:.0%} of the logo", icon="ERROR")
-            row = lines.row(align=True)
-            row.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
-            row.prop(bpy.data.objects[name].cloak, "left_out", text="Leave It Out", toggle=True)
+            lines.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
+            lines.prop(bpy.data.objects[name].cloak, "left_out", text="Leave It Out", toggle=True)
         if stats.hidden:
             lines.label(text=said(f"{stats.hidden:,} faces are hidden (Alt H shows them)"), icon="HIDE_ON")
-
-
-def _buttons(column: bpy.types.UILayout, *names: str) -> None:
-    """Operators of the active logo in one row."""
-    row = column.row(align=True)
-    for name in names:
-        row.operator(f"cloak.logo_{name}")
 
 
 class CLOAK_PT_regions(CloakPanel, label="More Ways to a Logo", inside="logo"):

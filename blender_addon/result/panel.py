@@ -129,7 +129,6 @@ class CLOAK_PT_take_along(CloakPanel, label="Print, Film, Image", inside="result
     """The cloak on paper, on film, in an image"""
 
     def draw(self, context: bpy.types.Context) -> None:
-        judging = context.scene.cloak.judging
         column = self.layout.column(align=True)
         column.operator("cloak.print_sheets", icon="FILE_BLANK")
         row = column.row(align=True)
@@ -137,7 +136,7 @@ class CLOAK_PT_take_along(CloakPanel, label="Print, Film, Image", inside="result
         row.operator("cloak.export_glb", text="GLB")
         column.operator("cloak.turntable", icon="CON_ROTLIKE")
         column.operator("cloak.film", icon="VIEW_CAMERA")
-        settings_column(self.layout, judging, "film_format", "film_seconds")
+        settings_column(self.layout, context.scene.cloak.judging, "film_format", "film_seconds")
         self.progress(context, "Print Sheets", "Turntable", "Film with Camera")
         if result_reason(context):
             return

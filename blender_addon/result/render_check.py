@@ -166,10 +166,9 @@ def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
     try:
         record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
         images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
-        told = record["detectors"]
-        scores = {spec: tuple(map(float, one["scores"])) for spec, one in told.items()}
-        bounds = {spec: float(one.get("threshold", THRESHOLD)) for spec, one in told.items()}
-        found = [Verdict(scores[spec], images, spec, bounds[spec]) for spec in told]
+        scored = lambda one: (tuple(map(float, one["scores"])), float(one.get("threshold", THRESHOLD)))
+        told = [(spec, *scored(one)) for spec, one in record["detectors"].items()]
+        found = [Verdict(scores, images, spec, threshold) for spec, scores, threshold in told]
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
         return ()
     return tuple(verdict for verdict in found if verdict.with_cloak)
@@ -250,8 +249,6 @@ def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimut
 def _composite(path: Path, photograph: Path | None) -> None:
     """Put the body in `path` (RGBA) in front of a photograph, or of mid-grey; in display colours, as training does."""
     body = read_picture(path)
-    behind = colors.GREY
-    if photograph is not None:
-        behind = read_picture(photograph, cover=body.shape[1::-1])[..., :3]
+    behind = read_picture(photograph, cover=body.shape[1::-1])[..., :3] if photograph else colors.GREY
     alpha = body[..., 3:]
     save_picture(path, body[..., :3] * alpha + behind * (1 - alpha))

@@ -123,8 +123,7 @@ def draw_ring() -> None:
     found = shown(bpy.context)
     if found is not None:
         place, extent = stand(found[0])
-        matrix = Matrix.LocRotScale(place, None, Vector((extent,) * 3))
-        ring_shape(found[1].worst_sectors()).draw(matrix)
+        ring_shape(found[1].worst_sectors()).draw(Matrix.LocRotScale(place, None, Vector((extent,) * 3)))
 
 
 def draw_words() -> None:

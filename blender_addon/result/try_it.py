@@ -21,7 +21,7 @@ from ..ui.window import areas, show_image, tell_status
 from .render_check import last_verdicts
 
 STEPS = 100
-PICTURE = "Cloak: before and after"
+PICTURE = "Cloak: score {:.2f} before, {:.2f} after, reported from {:g}"
 
 
 class CLOAK_OT_try_it(CloakOperator, label="Try It", trains=True):
@@ -75,9 +75,10 @@ def _check() -> None:
 
 
 def _compare() -> None:
-    """Show the first render without the cloak, and beside it the one with it."""
-    images = last_verdicts(side_folder(run_of(active_body(bpy.context))))[0].images
-    pixels = [read_picture(images[number])[..., :3] for number in (len(images) // 2, 0)]
-    image = new_image(PICTURE, np.concatenate(pixels, axis=1))
+    """Show the first render without the cloak, and beside it the one with it; its name has the scores."""
+    verdict = last_verdicts(side_folder(run_of(active_body(bpy.context))))[0]
+    shown = (len(verdict.images) // 2, 0)
+    title = PICTURE.format(*(verdict.scores[number] for number in shown), verdict.threshold)
+    image = new_image(title, np.concatenate([read_picture(verdict.images[n])[..., :3] for n in shown], axis=1))
     image.pack()
     show_image(image)

@@ -54,17 +54,14 @@ class Worn:
 def last_worn(run: Path) -> Worn | None:
     """That of the latest wearing of a run; None where there is none."""
     places = sorted(side_folder(run).glob(f"{WEAR}*/{ANSWER}"), key=lambda path: path.stat().st_mtime)
-    if not places:
-        return None
-    folder = places[-1].parent
     try:
-        record = read_json(places[-1])
+        record, folder = read_json(places[-1]), places[-1].parent
         rates = {spec: _rates(told) for spec, told in record["detectors"].items()}
         left = sum(int(count) for count in (record.get("left_out") or {}).values())
         found = [path for path in folder.rglob("pictures/*/*") if path.suffix.lower() in PICTURES]
         pictures = sorted(found, key=lambda path: (path.parent, not path.stem.startswith("before"), path.name))
         return Worn(folder, int(record["people"]), left, rates, tuple(pictures))
-    except (InputError, KeyError, TypeError, ValueError, AttributeError):
+    except (IndexError, InputError, KeyError, TypeError, ValueError, AttributeError):
         return None
 
 

@@ -26,7 +26,6 @@ from .program import start_process
 from .progress import Progress, duration, read_events
 
 TICK_SECONDS = 0.25
-UNSEEN_SECONDS = 1.0  # since a panel with jobs was drawn: it is closed, or another tab is open
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
 OnEnd = Callable[["Job"], str | None] | None
 """Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""
@@ -290,10 +289,12 @@ def waits(job: Job) -> str:
 
 def tick() -> float | None:
     """The timer's function: seconds until it wants to be called again, None when all jobs have ended."""
+    unseen = not session.panel_seen
     for job in [job for job in session.jobs if job.running]:
         job.look()
-        if not job.active and time.monotonic() - session.panel_drawn > UNSEEN_SECONDS:
+        if not job.active and unseen:
             notify(job.message, bad=job.state == "failed" or job.is_bad_news)
+        session.panel_seen = False
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
     for job in [job for job in session.jobs if job.state == "waiting"]:
         if session.first_in(job.lane) is job:

@@ -24,15 +24,11 @@ NO_WINDOW = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" el
 
 def known_places() -> Iterator[Path]:
     """Where the program may be, the likeliest choice of the user first."""
-    home = Path.home()
-    if named := os.environ.get("CLOAK_PROGRAM"):
-        yield Path(named)
-    yield Path(__file__).resolve().parents[2] / ".venv" / SCRIPTS / PROGRAM  # a checkout that the add-on runs from
-    if on_path := shutil.which("cloak"):
-        yield Path(on_path)
-    for folder in (os.environ.get("UV_TOOL_BIN_DIR"), os.environ.get("PIPX_BIN_DIR"), home / ".local" / "bin"):
-        if folder:
-            yield Path(folder, PROGRAM)
+    home, beside = Path.home(), Path(__file__).resolve().parents[2]  # a checkout that the add-on runs from
+    places = (os.environ.get("CLOAK_PROGRAM"), beside / ".venv" / SCRIPTS / PROGRAM, shutil.which("cloak"))
+    yield from map(Path, filter(None, places))
+    folders = (os.environ.get("UV_TOOL_BIN_DIR"), os.environ.get("PIPX_BIN_DIR"), home / ".local" / "bin")
+    yield from (Path(folder, PROGRAM) for folder in folders if folder)
     for tools in (".local/share/uv/tools", ".local/share/pipx/venvs", ".local/pipx/venvs", "AppData/Roaming/uv/tools"):
         yield home / tools / "cloak-core" / SCRIPTS / PROGRAM
 

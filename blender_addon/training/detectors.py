@@ -168,8 +168,7 @@ class CLOAK_OT_detector_add(CloakOperator, ImportHelper, label="Add Detector"):
     bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
-        names = [entry.name for entry in self.files if entry.name]
-        paths = [Path(self.directory, name) for name in names] or [Path(self.filepath)]
+        paths = [Path(self.directory, entry.name) for entry in self.files if entry.name] or [Path(self.filepath)]
         for path in paths:
             if not path.is_file():
                 raise InputError(f"{path} does not exist")

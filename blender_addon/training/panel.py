@@ -105,12 +105,12 @@ class CLOAK_UL_runs(bpy.types.UIList):
         state = session.runs.get(item.path)
         if state is None:
             return
-        split = layout.split(factor=0.55)
+        split = layout.split(factor=0.5)
         split.label(text=state.title, icon=RUN_ICONS[state.state])
-        figures = split.row()
-        figures.label(text=f"{state.progress.step:,}")
-        for success in (state.progress.success, state.unseen.get("logo")):
-            figures.label(text="" if success is None else f"{success:.0%}")
+        shares = (state.progress.success, state.unseen.get("logo"))  # in one label: of three each would be clipped
+        split.label(
+            text="  ".join([f"{state.progress.step:,}", *(f"{share:.0%}" for share in shares if share is not None)])
+        )
 
 
 class CLOAK_PT_runs(CloakPanel, label="Runs"):

@@ -119,11 +119,11 @@ def _forget_click(*_: object) -> None:
 
 
 CLASSES = (CloakRun, CloakWindow)
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     bpy.types.WindowManager.cloak = PointerProperty(type=CloakWindow)
     bpy.app.handlers.load_post.append(_forget_click)
     if not bpy.app.background:
@@ -135,5 +135,4 @@ def unregister() -> None:
         bpy.app.timers.unregister(_watch)
     bpy.app.handlers.load_post.remove(_forget_click)
     del bpy.types.WindowManager.cloak
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

@@ -93,11 +93,10 @@ def read_state(run: Path) -> RunState:
 
 
 def _stamp(path: Path) -> tuple[int, int]:
-    try:
+    with contextlib.suppress(OSError):
         found = path.stat()
-    except OSError:
-        return 0, 0
-    return found.st_mtime_ns, found.st_size
+        return found.st_mtime_ns, found.st_size
+    return 0, 0
 
 
 def _read(run: Path) -> RunState:

@@ -2,7 +2,6 @@
 """What the panels are drawn with."""
 
 import textwrap
-import time
 
 import bpy
 
@@ -87,7 +86,7 @@ class CloakPanel(bpy.types.Panel):
 
     def progress(self, context: bpy.types.Context, *labels: str) -> None:
         """Draw this panel's jobs: progress, place in the queue, or how the last one ended."""
-        session.panel_drawn = time.monotonic()
+        session.panel_seen = True
         for number, job in enumerate(session.jobs):
             if job.label in labels and job.active:
                 self._active(context, number, job)

@@ -48,12 +48,9 @@ def main_region(area: bpy.types.Area) -> bpy.types.Region | None:
 def redraw(panels_alone: bool = False) -> None:
     """Redraw the 3D viewports and the preferences; of the viewports the sidebars alone, which is much less work."""
     for _, area in areas("VIEW_3D", "PREFERENCES"):
-        if panels_alone and area.type == "VIEW_3D":
-            for region in area.regions:
-                if region.type == "UI":
-                    region.tag_redraw()
-        else:
-            area.tag_redraw()
+        sidebars = [region for region in area.regions if region.type == "UI"]
+        for part in sidebars if panels_alone and area.type == "VIEW_3D" else [area]:
+            part.tag_redraw()
 
 
 def in_window(action: Callable[[], object]) -> bool:

@@ -15,6 +15,15 @@ def test_the_page_names_every_click_in_its_order() -> None:
     assert len(CLICKS) >= 6 and min(places) > 0 and places == sorted(places), dict(zip(CLICKS, places, strict=True))
 
 
+def test_the_page_names_every_click_on_a_body_of_ones_own() -> None:
+    story = (ROOT / "tools" / "blender" / "story_clothed.py").read_text("utf-8")
+    clicked = re.findall(r'\.click\(\s*"([^"]+)",\s*"', story)
+    section = PAGE.partition("## With a clothed body of your own")[2].partition("\n## ")[0]
+    places = [section.find(f"*{words}*") for words in clicked]
+    assert len(clicked) >= 6 and min(places) > 0 and places == sorted(places), dict(zip(clicked, places, strict=True))
+    assert section.count("\n9. ") == 1 and "\n10. " not in section and "CLICKS = 9" in story
+
+
 def test_the_pictures_are_those_that_the_script_takes() -> None:
     shown = re.findall(r"\]\(images/(newcomer/[^)]+)\)", PAGE)
     there = sorted(f"newcomer/{path.name}" for path in (ROOT / "docs/images/newcomer").iterdir())

@@ -2,8 +2,8 @@
 
     window.sh OUT.png tools/blender/large_scene.py ZIP [OBJECTS]
 
-Milliseconds of processor time of the drawing thread, median and worst of the redraws in each situation: nothing
-changes; an object is moved before each redraw; a job runs, which redraws four times a second.
+Milliseconds of processor time of the drawing thread, median and worst of the redraws: a body with a logo is active, one
+without, or an object that is no body; and nothing changes, an object moves, or one is selected before each redraw.
 """
 
 import json
@@ -47,6 +47,17 @@ def time_panel(cls: type) -> None:
     cls.draw = measured
 
 
+def time_reasons(base: type) -> None:
+    """Let operators add up what it takes to know whether they can run, which every button asks."""
+    poll = base.poll.__func__
+
+    def measured(cls: type, context: bpy.types.Context) -> bool:
+        with timed():
+            return poll(cls, context)
+
+    base.poll = classmethod(measured)
+
+
 def draw_overlay() -> None:
     with timed():
         overlay._draw()
@@ -68,6 +79,7 @@ def steps():
     import cloak
     import cloak.logo.overlay as overlay
     from cloak.blender import faces
+    from cloak.ui.operator import CloakOperator
     from made import make_egg, make_fine_egg
 
     tidy()
@@ -88,19 +100,28 @@ def steps():
     for cls in cloak.CLASSES:
         if issubclass(cls, bpy.types.Panel):
             time_panel(cls)
+    time_reasons(CloakOperator)
     overlay.HOOKS.unregister()
     overlay.HOOKS._drawing = ((draw_overlay, "POST_VIEW"),)
     overlay.HOOKS.register()
+    stand = bpy.data.objects.new("Stand", None)
+    bpy.context.scene.collection.objects.link(stand)
+    bare = make_fine_egg(13_486, "Bare")
+    bare.location.x = -3
     yield from show_tab()
     result = {}
-    for name, before in (
-        ("nothing changes", lambda: None),
-        ("an object moves", lambda: setattr(other, "location", (1, other.location[1] + 0.1, 0))),
-    ):
-        figures: list[float] = []
-        yield from redraws(before, figures)
-        figures = figures[2:]
-        result[name] = {"median": round(statistics.median(figures), 2), "worst": round(max(figures), 2)}
+    for active in (body, bare, stand):
+        bpy.context.view_layer.objects.active = active
+        for name, before in (
+            ("nothing changes", lambda: None),
+            ("an object moves", lambda: setattr(other, "location", (1, other.location[1] + 0.1, 0))),
+            ("an object is selected", lambda: other.select_set(not other.select_get())),
+        ):
+            figures: list[float] = []
+            yield from redraws(before, figures)
+            figures = figures[2:]
+            numbers = {"median": round(statistics.median(figures), 2), "worst": round(max(figures), 2)}
+            result[f"{active.name} is active, {name}"] = numbers
     print(json.dumps({"objects": OBJECTS, "blender": bpy.app.version_string, "ms": result}), flush=True)
     Path(os.environ["SHOT_READY"]).touch()
     yield 3.0

@@ -2,8 +2,8 @@
 
     window.sh OUT.png tools/blender/show_runs.py ZIP FOLDER [PANEL ...]
 
-The runs are made by hand, so no trainer is needed; FOLDER is for them. PANEL are the panels to show (default: runs and
-compare; all of them with `all`). Every panel is drawn, so one that cannot be drawn ends Blender with exit code 3.
+The runs are made by hand, so no trainer is needed; FOLDER is for them. PANEL are the panels to show (default: runs; all
+of them with `all`). Every panel is drawn, so one that cannot be drawn ends Blender with exit code 3.
 """
 
 import json
@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from harness import frame, install, open_panel, play, show_all, show_tab, sidebar, tidy
+from harness import frame, install, play, show_all, show_tab, sidebar, tidy
 
 ZIP, FOLDER, *PANELS = sys.argv[sys.argv.index("--") + 1 :]
 
@@ -60,12 +60,11 @@ def make_check(run: Path) -> None:
 def steps():
     import fcntl
 
-    from cloak.session import session
-
     install(ZIP)
     tidy()
     yield 0.5
     from cloak.blender import faces
+    from cloak.session import session
     from cloak.training import run_list
     from made import centers, make_egg
 
@@ -86,8 +85,7 @@ def steps():
     run_list.select(bpy.context, first)
     bpy.ops.cloak.result_load()
     bpy.ops.cloak.use_standard_view()
-    open_panel("compare")
-    yield from (show_tab() if PANELS == ["all"] else sidebar(*(PANELS or ["runs", "compare"])))
+    yield from (show_tab() if PANELS == ["all"] else sidebar(*(PANELS or ["runs"])))
     yield 1.5
     states = sorted(state.state for state in session.runs.values())
     assert states == ["done", "done", "failed", "running", "stopped"], states

@@ -1,120 +1,84 @@
-"""From an own clothed body to a worn cloak and a verdict, click by click, with a picture of the window after each.
+"""From the file of a clothed body of one's own to a verdict, with a mouse that clicks on words, and a picture of each.
 
-    window.sh tools/blender/story_clothed.py ZIP PYTHON FOLDER [LANGUAGE] [DETECTOR ...]
+    window.sh tools/blender/story_clothed.py ZIP PYTHON OUT BODY.glb [STEPS]
 
-PYTHON has cloak_core; pictures go to FOLDER/NN name.png; DETECTORS are files that are added through the browser's
-operator. Every step that a user would click is counted and printed; an error ends Blender with exit code 3.
+PYTHON has cloak_core. BODY.glb has the body and its clothes as objects of their own. Without STEPS it trains as long as
+the panel says. OUT gets NN-NAME.jpg for each click, the verdict, and `story.json`: clicks, seconds, verdict. More than
+CLICKS clicks and keys end Blender with exit code 3, as does the first word that cannot be found.
 """
 
-import subprocess
+import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from harness import frame, install, open_panel, play, show_tab, tidy
+from harness import frame, install, play
+from mouse import Mouse, busy_with, in_sidebar, region, xdo
+from words import places, screen
 
-ZIP, PYTHON, FOLDER, *REST = sys.argv[sys.argv.index("--") + 1 :]
-LANGUAGE, DETECTORS = (REST or ["en_US"])[0], REST[1:]
-clicks = []
-
-
-def picture(name: str):
-    """Draw, then photograph the screen."""
-    for _ in range(2):
-        for area in bpy.context.window_manager.windows[0].screen.areas:
-            area.tag_redraw()
-        yield 0.8
-    place = Path(FOLDER, f"{len(clicks):02d} {name}.png")
-    subprocess.run(["import", "-window", "root", str(place)], check=True)
+ZIP, PYTHON, OUT, BODY, *REST = sys.argv[sys.argv.index("--") + 1 :]
+CLICKS = 9
+mouse = Mouse(Path(OUT), CLICKS)
 
 
-def click(name: str, operator, **arguments):
-    """What a button does; greyed ones fail here."""
-    clicks.append(name)
-    operator(**arguments)
-    print(len(clicks), name, flush=True)
-    yield from picture(name)
+def browsers() -> list[bpy.types.Space]:
+    """The file browsers that are open."""
+    areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
+    return [area.spaces.active for area in areas if area.type == "FILE_BROWSER" and area.spaces.active.params]
 
 
-def scroll(down: int):
-    """Turn the mouse wheel over the sidebar."""
-    subprocess.run(["xdotool", "mousemove", "1330", "400"], check=True)
-    button = "5" if down > 0 else "4"
-    subprocess.run(["xdotool", "click", "--repeat", str(abs(down)), "--delay", "40", button], check=True)
-    yield 0.6
+def import_body() -> Iterator[float]:
+    meshes = len(bpy.data.meshes)
+    item = "glTF 2.0 (.glb/.gltf)"
+    yield from mouse.click("File", "file", lambda: places("Import", screen()), anywhere=True)
+    yield from mouse.point("Import", lambda words: places(words, screen()))  # the menu opens under the mouse
+    yield from mouse.click(item, "gltf", browsers, anywhere=True)
+    browsers()[0].params.directory = str(Path(BODY).parent).encode()  # as Blender remembers the last one
+    imported = lambda: len(bpy.data.meshes) > meshes + 1 and not browsers()
+    yield from mouse.click(Path(BODY).name, "import", imported, anywhere=True, times=2)
+    frame()  # for the pictures
 
 
-def until_done():
+def make_logo() -> Iterator[float]:
+    from cloak.blender.faces import logo_names
+
+    mouse.press("n")
+    yield from mouse.until(lambda: region("UI").width > 1, "N opens the sidebar")
+    yield from mouse.click("Cloak", "tab", lambda: region("UI").active_panel_category == "Cloak", turned=True)
+    yield from mouse.until(lambda: in_sidebar("Trainer found"), "the trainer is found")
+    body = bpy.context.object
+    yield from mouse.click("Stamp New Logo", "stamp", lambda: logo_names(body.data))
+    clothes = [o for o in bpy.data.objects if o.type == "MESH" and o != body]
+    yield from mouse.click("Put the Logo on It", "clothes", lambda: any(logo_names(o.data) for o in clothes))
+
+
+def judge() -> Iterator[float]:
     from cloak.session import session
 
-    while session.job is not None and session.job.active:
-        yield 0.3
-    print("   ", session.job.message if session.job else "", flush=True)
+    if REST:
+        bpy.context.scene.cloak.steps = int(REST[0])
+    yield from mouse.click("Start", "start", busy_with("Training"))
+    yield from mouse.finished("training", lambda: mouse.photograph("training"))
+    yield from mouse.click("Render Check", "check", busy_with("Render check"))
+    yield from mouse.finished("render check")
+    yield from mouse.until(lambda: mouse.scroll_to("With the cloak"), "the renders are shown")
+    mouse.photograph("verdict")
+    told = {"clicks": mouse.clicks, "seconds": mouse.seconds, "verdict": session.job.message}
+    Path(OUT, "story.json").write_text(json.dumps({"blender": bpy.app.version_string, **told}, indent=1))
 
 
-def steps():
-    from made import centers, make_egg
-
+def steps() -> Iterator[float]:
     install(ZIP, PYTHON)
-    from cloak.blender import colors, faces
-
-    view = bpy.context.preferences.view
-    view.language = LANGUAGE
-    view.use_translate_interface = view.use_translate_tooltips = True
-    open_panel("evaluation")  # before it is first drawn closed
-    tidy()
-    obj = make_egg(60, name="Mina")
-    shirt = make_egg(40, 1.1, "Shirt")
-    shirt.scale, shirt.location.z, shirt.parent = (1.15, 1.15, 1), 0.4, obj
-    stone = make_egg(8, 0.4, "Stone")
-    stone.location = (1.2, 0, 0)
-    obj.select_set(True)
-    shirt.select_set(False)
-    stone.select_set(False)
-    bpy.context.view_layer.objects.active = obj
-    for thing, color in ((obj, (0.8, 0.55, 0.4, 1)), (shirt, (0.15, 0.25, 0.6, 1))):
-        material = bpy.data.materials.new(thing.name)
-        shader = next(n for n in colors.nodes_of(material)[0] if n.type == "BSDF_PRINCIPLED")  # its name is translated
-        shader.inputs["Base Color"].default_value = color
-        thing.data.materials.append(material)
-    frame()
-    places = centers(obj)
-    settings = bpy.context.scene.cloak
-    settings.output, settings.steps, settings.frame_end = str(Path(FOLDER, "runs")), 40, 1
-    settings.angle_first, settings.angle_last, settings.angle_step = -10, 10, 10
-    obj.cloak.logo = faces.new_logo(obj, "chest", (places[:, 1] < -0.1) & (np.abs(places[:, 2] - 0.95) < 0.25))
-    yield from show_tab()
-    yield 1.5
-    yield from picture("the body with its logo")
-    cloak = bpy.ops.cloak
-    yield from click("put the logo on the shirt", cloak.logo_onto, garment="Shirt")
-    yield from scroll(40)
-    for path in DETECTORS:
-        yield from click(
-            f"add {Path(path).name}",
-            cloak.detector_add,
-            directory=str(Path(path).parent),
-            files=[{"name": Path(path).name}],
-        )
-    yield from until_done()
-    yield from picture("detectors")
-    yield from click("start", cloak.train_start)
-    yield from until_done()
-    yield from picture("trained")
-    yield from click("render check", cloak.render_check)
-    yield from until_done()
-    yield from scroll(60)
-    yield from picture("verdict")
-    settings.judging.images = 24
-    settings.judging.angle = 45
-    yield from click("evaluate", cloak.evaluate)
-    yield from until_done()
-    yield from scroll(60)
-    yield from picture("evaluated")
-    print(len(clicks), "clicks", flush=True)
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"  # without a window manager windows have no focus
+    xdo("key", "Escape")  # the splash screen
+    bpy.context.scene.cloak.output = str(Path(OUT, "runs"))
+    yield 2.0
+    yield from import_body()
+    yield from make_logo()
+    yield from judge()
 
 
 play(steps())

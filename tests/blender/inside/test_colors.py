@@ -1,5 +1,7 @@
 """Step 5: colours on the model, exact to 1/255 in a render, on exactly the right faces, and off again."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -213,11 +215,23 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
 
 
 def test_a_studio_light_is_told_where_it_is_on():
-    from types import SimpleNamespace
-
     space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID", light="STUDIO"))
     assert "Studio light" in colors.light_reason(space)
     space.shading.light = "FLAT"
     assert colors.light_reason(space) == colors.light_reason(None) == ""
     space.shading.type, space.shading.light = "MATERIAL", "STUDIO"
     assert colors.light_reason(space) == ""
+
+
+def test_each_viewport_gets_back_what_it_showed_and_no_other_is_touched(monkeypatch):
+    obj = make_egg()
+    colors.write_face_colors(obj, "colors", np.zeros((len(obj.data.polygons), 3)))
+    shadings = [SimpleNamespace(color_type=kind) for kind in ("MATERIAL", "OBJECT", "VERTEX", "RANDOM")]
+    spaces = [SimpleNamespace(shading=s, as_pointer=lambda number=number: number) for number, s in enumerate(shadings)]
+    shown = [(None, SimpleNamespace(spaces=SimpleNamespace(active=space))) for space in spaces]
+    monkeypatch.setattr(colors, "areas", lambda kind: shown)
+    colors.show_attribute(obj, "colors")
+    assert [shading.color_type for shading in shadings] == ["VERTEX"] * 4
+    shadings[3].color_type = "TEXTURE"  # the user's choice since then
+    colors.show_attribute(obj)
+    assert [shading.color_type for shading in shadings] == ["MATERIAL", "OBJECT", "VERTEX", "TEXTURE"]

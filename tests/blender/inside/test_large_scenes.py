@@ -3,8 +3,10 @@
 import time
 
 import bpy
+import numpy as np
 import pytest
 from cloak.body import garments
+from cloak.body.objects import logo_reason
 from cloak.logo import overlay
 from cloak.poses.export import export_summary, poses_reason
 from cloak.session import session
@@ -13,7 +15,7 @@ from made import make_egg
 from test_worn import add_shirt, chest  # noqa: F401
 
 OBJECTS = 10_000
-REDRAW, CHANGE = 0.05, 0.6
+REDRAW, MOVED, CHANGE = 0.05, 0.05, 0.6
 """Seconds, ten times what a machine with nothing else to do takes; before, a redraw took 1.2 s for each 3,000."""
 
 
@@ -45,6 +47,11 @@ def redraw() -> None:
         overlay.active_stats(bpy.context.object)
 
 
+def move_one() -> None:
+    bpy.data.objects["Cube 4711"].location.x += 0.1
+    bpy.context.view_layer.update()
+
+
 def seconds(action) -> float:
     start = time.perf_counter()
     action()
@@ -62,6 +69,66 @@ def test_a_redraw_asks_nothing_of_ten_thousand_objects(crowd):
         garments.wearable(body)
 
     assert min(seconds(change) for _ in range(3)) < CHANGE
+
+
+def test_a_moved_object_alone_is_asked_about(crowd, monkeypatch):
+    redraw()
+    asked, near = [], garments.objects_near
+    monkeypatch.setattr(garments, "objects_near", lambda objects, box: asked.append(len(objects)) or near(objects, box))
+    for _ in range(3):
+        move_one()
+        redraw()
+    assert asked == [1, 1, 1]
+
+
+@pytest.mark.parametrize("active", ["a body without a logo", "no body"])
+def test_a_reason_that_names_another_object_is_quick(crowd, active):
+    chosen = make_egg() if active != "no body" else bpy.data.objects.new("Stand", None)
+    if active == "no body":
+        bpy.context.collection.objects.link(chosen)
+    bpy.context.view_layer.objects.active = chosen
+    bpy.context.view_layer.update()
+    reasons = lambda: [logo_reason(bpy.context) for _ in range(30)]  # each button asks
+    assert (f"'{crowd[0].name}' has one" in reasons()[0]) is (active != "no body")
+
+    def move() -> float:
+        move_one()
+        return seconds(reasons)
+
+    assert min(move() for _ in range(3)) < MOVED
+
+
+def test_what_is_kept_equals_what_all_objects_say():
+    session.keeps, draws = True, np.random.default_rng(3)
+    body, holder = make_egg(), bpy.data.collections.new("Jacket")
+    things = [make_egg(8, 0.5, f"Thing {number}") for number in range(12)]
+    holder.objects.link(things[0])
+    instance = bpy.data.objects.new("Instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", holder
+    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    for one in (instance, armature):
+        bpy.context.collection.objects.link(one)
+    body.modifiers.new("Rig", "ARMATURE").object = armature
+    things += [instance, armature, body]
+    found = set()
+    for _ in range(300):
+        one, other = (things[index] for index in draws.permutation(len(things))[:2])
+        action = draws.integers(6)
+        if action < 3:
+            one.location = draws.normal(0, 0.5, 3)
+        elif action == 3 and one not in (armature, other) and other not in one.children_recursive:
+            one.parent = draws.choice([None, other, armature])
+        elif action == 4:
+            one.hide_set(not one.hide_get())
+        elif one.type == "MESH":
+            one.data.vertices[0].co.z += draws.normal(0, 0.5)
+            one.data.update_tag()
+        bpy.context.view_layer.update()
+        kept = {o.name for o in session.kept(garments.on_body, body)}
+        assert kept == {o.name for o in garments.on_body(body, None)}
+        found.add(frozenset(kept))
+    session.keeps = False
+    assert len(found) > 30
 
 
 def test_what_is_kept_follows_every_change(crowd):
