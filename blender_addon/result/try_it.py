@@ -21,7 +21,7 @@ from ..ui.window import areas, show_image, tell_status
 from .render_check import last_verdicts
 
 STEPS = 100
-PICTURE = "Cloak: score {:.2f} before, {:.2f} after, reported from {:g}"
+PICTURE = "{:.2f} before, {:.2f} after: scores, reported from {:g}"  # its beginning is seen in the editor's header
 
 
 class CLOAK_OT_try_it(CloakOperator, label="Try It", trains=True):

@@ -60,7 +60,7 @@ def steps():
         yield 0.2
     yield 3.0
     assert not session.job.is_bad_news, session.job.message
-    assert [image.name.startswith("Cloak: score") for image in pictures()] == [True]
+    assert [" after: scores, " in image.name for image in pictures()] == [True]
     Path(os.environ["SHOT_READY"]).touch()
     yield 4.0
 

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -46,11 +47,35 @@ def trees(archive) -> dict[str, ast.AST]:
     return {name: ast.parse(archive.read(name)) for name in archive.namelist() if name.endswith(".py")}
 
 
-def test_blenders_own_tool_finds_it_valid():
+def blender_ext(*words: object) -> None:
+    """Blender's own tool for extensions, which its preferences start as well."""
     scripts = Path(bpy.utils.system_resource("SCRIPTS"))
     (tool,) = scripts.glob("addons_core/bl_pkg/cli/blender_ext.py")
-    done = subprocess.run([sys.executable, str(tool), "validate", str(EXTENSION)], capture_output=True, check=False)
+    done = subprocess.run([sys.executable, str(tool), *map(str, words)], capture_output=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_blenders_own_tool_finds_it_valid():
+    blender_ext("validate", EXTENSION)
+
+
+def test_it_is_installed_from_a_repository_of_our_own(tmp_path, archive):
+    served, local = tmp_path / "served", tmp_path / "local"
+    served.mkdir()
+    shutil.copy(EXTENSION, served)
+    blender_ext("server-generate", "--html", "--repo-dir", served)
+    assert EXTENSION.name in (served / "index.html").read_text()
+    remote = ("--remote-url", (served / "index.json").as_uri(), "--local-dir", local)
+    versions = ("--blender-version", ".".join(map(str, bpy.app.version)))
+    if bpy.app.version >= (4, 4, 0):
+        versions += ("--python-version", ".".join(map(str, sys.version_info[:3])))
+    local.mkdir()
+    blender_ext("sync", *remote)
+    blender_ext("install", *remote, *versions, "cloak")
+    installed = {
+        path.relative_to(local / "cloak").as_posix() for path in (local / "cloak").rglob("*") if path.is_file()
+    }
+    assert installed == {name for name in archive.namelist() if not name.endswith("/")}
 
 
 def test_the_zip_holds_the_add_on_and_no_more(archive):

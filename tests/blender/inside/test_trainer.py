@@ -99,7 +99,7 @@ def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, 
         -1
     ]
     assert any("Render check 2/" in words for words in told), "how far it is"
-    picture = bpy.data.images["Cloak: score 0.90 before, 0.10 after, reported from 0.5"]
+    picture = bpy.data.images["0.90 before, 0.10 after: scores, reported from 0.5"]
     before, after = np.split(pictures.image_pixels(picture)[..., :3], 2, axis=1)
     assert before.shape == after.shape == (416, 416, 3) and picture.packed_file
     reddish = [((pixels[..., 0] > 0.6) & (pixels[..., 1] < 0.3)).mean() for pixels in (before, after)]
