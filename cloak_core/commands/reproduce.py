@@ -51,7 +51,9 @@ class Reproduce(Splitting, Computing, Sharing):
     def run(self) -> dict:
         if not self.name:
             if not self.list:
-                raise InputError("reproduce: needs NAME; cloak reproduce --list shows what there is and how long it takes")
+                raise InputError(
+                    "reproduce: needs NAME; cloak reproduce --list shows what there is and how long it takes"
+                )
             self.name = "all"
         if self.list or self.only:
             return self._planned() if self.list else self._rows()
