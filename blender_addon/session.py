@@ -57,7 +57,7 @@ class Session:
     def kept(self, find: Callable[[Any, set | None], set], obj: Any) -> set:
         """The objects that `find(obj, among)` chooses, for redraws: kept, and asked again only of those that changed.
 
-        among: some objects, None for all of the scene, of which is asked where much changed, or `obj` itself.
+        among: some objects, or None for all of the scene: where many changed, or `obj` itself did.
         """
         found, changed = self._kept.get((find, obj.session_uid), (None, set()))
         if found is None or obj in changed or len(changed) > FEW or not self.keeps:

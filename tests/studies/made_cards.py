@@ -1,4 +1,4 @@
-"""A fake detector and a tiny size, of which a robustness card is made in seconds."""
+"""A fake detector and a tiny size: a robustness card takes seconds."""
 
 from pathlib import Path
 
