@@ -252,8 +252,9 @@ class Machine:
             safely = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
             for member in archive:
                 inside = Path(temporary, member.name).resolve().is_relative_to(Path(temporary).resolve())
-                if inside and (member.isreg() or member.isdir()):
-                    archive.extract(member, temporary, **safely)
+                if not inside or not (member.isreg() or member.isdir()):
+                    raise InputError(f"{self.prefix}: sent {member.name!r}, which is no file or folder of {name}")
+                archive.extract(member, temporary, **safely)
         process.stdout.read()
         process.wait()
 

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from cloak_core import cli
-from cloak_core.commands.remote import files_of, named_paths
+from cloak_core.commands.remote import Machine, files_of, named_paths
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.exchange.scenes import read_scene
+from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.opening import load_scene
 
 STUB = Path(__file__).parents[1] / "blender" / "inside" / "stub"
@@ -165,3 +166,15 @@ def test_a_folder_is_sent_with_what_links_lead_to(tmp_path):
     (tmp_path / "photos" / "gone.jpg").symlink_to(tmp_path / "nowhere")
     assert sorted(files_of(tmp_path / "photos")) == ["photos/more/1.jpg"]
     assert load_scene("sample").face_count > 0
+
+
+def test_what_the_other_machine_may_not_send_is_named(tmp_path: Path) -> None:
+    run = tmp_path / "there" / "run"
+    run.mkdir(parents=True)
+    (run / "colors.npy").write_bytes(b"1")
+    machine = Machine("sh -c", str(tmp_path / "there"))
+    machine.fetch(str(run), tmp_path / "here")
+    assert (tmp_path / "here" / "colors.npy").read_bytes() == b"1"
+    (run / "config.json").symlink_to("/etc/hostname")
+    with pytest.raises(InputError, match=r"sh -c: sent 'run/config\.json', which is no file or folder of run"):
+        machine.fetch(str(run), tmp_path / "here")
