@@ -55,7 +55,7 @@ class Session:
         return next((job for job in self.jobs if job.active and getattr(job, "run", None) == run), None)
 
     def kept(self, find: Callable[[Any, set | None], set], obj: Any) -> set:
-        """The objects that `find(obj, among)` chooses, for redraws: kept, and asked again only of those that changed.
+        """Return what `find(obj, among)` chooses, for redraws: kept; only about objects that changed it is asked again.
 
         among: some objects, or None for all of the scene: where many changed, or `obj` itself did.
         """
