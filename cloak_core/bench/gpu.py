@@ -20,9 +20,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from cloak_core.bench.detectors import run_bench_detectors
+from cloak_core.bench.gpu_peers import run_gpu_peers
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.records import table
-from cloak_core.bench.stability import run_bench_stability
 from cloak_core.bench.stability_checks import cuda as compare_with_cpu
 from cloak_core.bench.step import run_bench_step
 from cloak_core.bench.views import machine, run_bench_views
@@ -54,9 +54,10 @@ Part = Callable[["Material"], dict]
 class Material:
     """What parts measure with."""
 
-    def __init__(self, people: str | None, images: Path | None) -> None:
-        """people: COCO file of people in photographs; images: their folder."""
+    def __init__(self, people: str | None, images: Path | None, scene: str | None = None) -> None:
+        """people: COCO file of people in photographs; images: their folder; scene: whose first pose views show."""
         self.people, self.images = people, images
+        self.bodies = sphere(TRIANGLES) if scene is None else load_scene(scene)
 
 
 class Operations(TorchDispatchMode):
@@ -86,21 +87,20 @@ def count_operations(samples: int | None = 1, triangles: int = 3000) -> dict[str
 
 
 def _bits(material: Material) -> dict:
-    """Hard cases against exact arithmetic, and a scene's views on the CPU against the device."""
-    result = run_bench_stability()
-    wrong, _ = compare_with_cpu()
-    return {"cases": result["cases"], "mismatches": result["mismatches"], "against_cpu": wrong}
+    """Hard cases and a scene's views on the device against the CPU, which `cloak bench stability` holds to exact
+    arithmetic."""
+    return {"against_cpu": compare_with_cpu()[0]}
 
 
 def _views(material: Material) -> dict:
-    return run_bench_views(sphere(TRIANGLES), device=DEVICE)
+    return run_bench_views(material.bodies, device=DEVICE)
 
 
 def _launches(material: Material) -> dict:
     """Kernels that a new view launches, as the profiler sees them."""
     launches = {}
     for samples in (1, 4):
-        cache = ViewCache(sphere(TRIANGLES), RenderSettings(samples=samples, device=DEVICE))
+        cache = ViewCache(material.bodies, RenderSettings(samples=samples, device=DEVICE))
         cache.build([(0, Camera())])
         with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profile:
             cache.build([(0, Camera(azimuth=20.0))])
@@ -114,6 +114,11 @@ def _kernels(material: Material) -> dict:
     with triton_kernels():
         wrong, _ = compare_with_cpu()
         return {"against_cpu": wrong, "views": _views(material), "launches": _launches(material)}
+
+
+def _peers(material: Material) -> dict:
+    """Other rasterizers on the same view, where they are installed."""
+    return run_gpu_peers(material.bodies, Camera(azimuth=-10.0), DEVICE)
 
 
 def _detectors(material: Material) -> dict:
@@ -181,6 +186,7 @@ PARTS: dict[str, Part] = {
     "views": _views,
     "launches": _launches,
     "kernels": _kernels,
+    "peers": _peers,
     "detectors": _detectors,
     "step": _step,
     "training": _training,
@@ -191,12 +197,14 @@ PARTS: dict[str, Part] = {
 def run_bench_gpu(
     people: str | None = None,
     images: Path | None = None,
+    scene: str | None = None,
     out: str | os.PathLike | None = None,
     tell: Tell = _log.info,
 ) -> dict:
     """Measure every part of `PARTS` on the CUDA device, and count what a new view asks of any device.
 
-    people, images: of photographs, for a step and `wear` with people. With `out`, the record goes to that file, after
+    people, images: of photographs, for a step and `wear` with people. scene: whose views are timed; None: a sphere of
+    `TRIANGLES`. With `out`, the record goes to that file, after
     each part. "failed" holds the words of parts that ended with bad input; "not_run" says why parts were not run.
     """
     counts = {str(samples): count_operations(samples) for samples in (1, 4)}
@@ -210,9 +218,10 @@ def run_bench_gpu(
         "failed": {},
         "not_run": {} if is_there else dict.fromkeys(PARTS, "no CUDA device"),
     }
+    material = Material(people, images, scene) if is_there else None
     for name in in_turn(tuple(PARTS) if is_there else (), str, tell):
         try:
-            record["measured"][name] = PARTS[name](Material(people, images))
+            record["measured"][name] = PARTS[name](material)
         except InputError as error:
             record["failed"][name] = str(error)
         tell(f"{name}: {record['failed'].get(name, 'measured')}")

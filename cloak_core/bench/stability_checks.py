@@ -6,7 +6,7 @@ Each check returns how much is wrong, and a remark for the report or nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import torch
@@ -14,12 +14,12 @@ from torch import Tensor
 
 from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.reference import TwinLight, matrix_of
-from cloak_core.bench.stability_cases import ball, rows
+from cloak_core.bench.stability_cases import CASES, ball, rows
 from cloak_core.core.cameras import Camera
-from cloak_core.core.view import View
+from cloak_core.core.view import Fragments, Screen, View
 from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.core.visibility.projection import project
-from cloak_core.core.visibility.rasterizer import rasterize
+from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, rasterize
 from cloak_core.core.visibility.screen import GRID
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.core.visibility.threads import torch_threads
@@ -87,7 +87,54 @@ def cuda() -> tuple[int, str] | None:
     """Compare the CPU with CUDA; None where there is no CUDA device."""
     if not torch.cuda.is_available():
         return None
-    return _differences(_seen(), _seen(device="cuda")), torch.cuda.get_device_name()
+    wrong = _differences(_seen(), _seen(device="cuda")) + hard_cases("cuda")[1]
+    return wrong, torch.cuda.get_device_name()
+
+
+def hard_cases(device: str, seeds: int = 3) -> tuple[int, int]:
+    """Run all hard cases on the CPU and on a device: comparisons, and samples and areas that differ.
+
+    Depth and triangle of a sample are to be the same bits; areas, where the CPU's are held to exact fractions, within
+    `IMAGE`.
+    """
+    cases = wrong = 0
+    for make in CASES.values():
+        for seed in range(seeds):
+            case = make(np.random.default_rng(seed))
+            cull = torch.tensor([case.cull] * len(case.screen.x))
+            there = _screen_on(case.screen, device), case.triangles.to(device)
+            for grid in (1, 2):
+                ours = rasterize(case.screen, case.triangles, grid, cull).packed
+                wrong += int((rasterize(*there, grid, cull).packed.cpu() != ours).sum())
+            cases += 2
+            if case.cover is not None or case.areas:
+                window = bounding_window(case.screen)
+                shares = [
+                    area_fragments(screen, triangles, torch.tensor([case.cull]), window)
+                    for screen, triangles in ((case.screen, case.triangles), there)
+                ]
+                wrong += _areas_differ(*shares)
+                cases += 1
+    return cases, wrong
+
+
+def _screen_on(screen: Screen, device: str) -> Screen:
+    moved = {
+        column.name: value.to(device)
+        for column in fields(screen)
+        if isinstance(value := getattr(screen, column.name), Tensor)
+    }
+    return replace(screen, **moved)
+
+
+def _areas_differ(a: Fragments, b: Fragments) -> int:
+    """Count the areas of triangles in pixels that differ by more than `IMAGE`."""
+    difference: dict[tuple[int, int], float] = {}
+    for sign, fragments in ((1, a), (-1, b)):
+        columns = fragments.pixel.tolist(), fragments.triangle.tolist(), fragments.area.tolist()
+        for pixel, triangle, area in zip(*columns, strict=True):
+            difference[pixel, triangle] = difference.get((pixel, triangle), 0.0) + sign * area
+    return sum(abs(value) > IMAGE for value in difference.values())
 
 
 def float32_input() -> tuple[int, str]:

@@ -257,13 +257,15 @@ class Gpu(Bench):
     """COCO file of people in photographs, for a step and `cloak wear` with people."""
     images: Path | None = None
     """Folder of these photographs (default: beside the file, or images/ beside it)."""
+    scene: str | None = None
+    """Scene whose first pose the views show (default: a sphere of 55,000 triangles)."""
     out: Path | None = None
     """JSON file to write."""
 
     def run(self) -> dict:
         from cloak_core.bench.gpu import run_bench_gpu
 
-        result = run_bench_gpu(self.people, self.images, self.out, tell=err.print)
+        result = run_bench_gpu(self.people, self.images, self.scene, self.out, tell=err.print)
         if result["failed"]:
             result["failed"] = "; ".join(f"{name}: {words}" for name, words in result["failed"].items())
         else:

@@ -17,7 +17,7 @@ from cloak_core.core.settings.values import Range
 from cloak_core.core.source import Backdrops
 from cloak_core.core.technique import NO_TECHNIQUES, Distortions, Techniques
 from cloak_core.core.view import BakedView
-from cloak_core.core.visibility.threads import spread, torch_threads, workers
+from cloak_core.core.visibility.threads import MOST_WORKERS, spread, torch_threads, workers
 from cloak_core.core.worn import Worn
 
 
@@ -97,9 +97,7 @@ class Batcher:
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
             return Batch(empty, None, None, Distortions())
-        # Threads that only look views up would wait for each other.
-        count = workers(self.device) if self.source.is_fresh else 1
-        views = spread(lambda drawn: self.source.view(*drawn), draws.views(), count)
+        views = spread(lambda drawn: self.source.view(*drawn).to(self.device), draws.views(), self._workers())
         rows = blank(len(views), size, size, self.device)
         # Behind a photograph, which no shift moves, nothing is seen: a drawn scene takes longer than its view.
         behind = [
@@ -123,6 +121,12 @@ class Batcher:
             self._company(views, distorted),
         )
 
+    def _workers(self) -> int:
+        """Choose how many threads make views. A GPU leaves them the cores; of people, the CPU makes all views."""
+        if not self.source.is_fresh:  # threads that only look views up would wait for each other
+            return 1
+        return workers(self.device) if self.device.type == "cpu" else min(_cores(), MOST_WORKERS)
+
     def _company(self, views: list[BakedView], distorted: Distortions) -> Company | None:
         anywhere = torch.tensor([view.others is None for view in views])
         if anywhere.all():
@@ -131,9 +135,10 @@ class Batcher:
         others = torch.zeros(len(views), max(map(len, boxes)), 4)
         for k, of_image in enumerate(boxes):
             others[k, : len(of_image)] = torch.tensor(of_image, dtype=torch.float32).reshape(-1, 4)
+        others = others.to(self.device)
         moved = [distorted.boxes(others[:, k], self.size, self.size) for k in range(others.shape[1])]
         others = torch.stack(moved, dim=1) if moved else others
-        return Company(others.to(self.device), anywhere.to(self.device))
+        return Company(others, anywhere.to(self.device))
 
 
 class Prefetcher:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from cloak_core.core.visibility.settings import Light
 
 Cull = Bool[Tensor, " B"] | Bool[Tensor, "B T"] | None
 """Views, or triangles of each view, whose back faces are dropped; None: none."""
+ViewOrBaked = TypeVar("ViewOrBaked", "View", "BakedView")
 Box = tuple[Number, Number, Number, Number]
 """x0, y0, x1, y1 in pixels, x1 and y1 exclusive."""
 
@@ -185,6 +187,11 @@ class View:
         joined = {name: torch.cat([getattr(part, name) for part in parts], -1) for name in names}
         return replace(parts[0], map=SparseMap.stacked([part.map for part in parts]), **joined)
 
+    def to(self, device: torch.device) -> View:
+        """Copy the view to a device; itself where it is there."""
+        # A view that is there keeps its map, and with it the map's transpose.
+        return self if self.pixels.to(device) is self.pixels else _moved(self, device)
+
     @cached_property
     def box(self) -> tuple[int, int, int, int]:
         """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
@@ -223,6 +230,10 @@ class BakedView:
     others: tuple[Box, ...] | None = None
     """Boxes of the other people in a photograph; None: a render, in which nobody else can be."""
 
+    def to(self, device: torch.device) -> BakedView:
+        """Copy the view to a device; itself where it is there."""
+        return self if self.pixels.to(device) is self.pixels else _moved(self, device)
+
     @property
     def base(self) -> Float32[Tensor, "N 3"]:
         """`base_color` pixel by pixel."""
@@ -237,3 +248,10 @@ class BakedView:
     def arrays(self) -> list[np.ndarray]:
         """Pixels, coverage and base_color for loops; same memory."""
         return arrays(self.pixels, self.coverage, self.base_color)
+
+
+def _moved(view: ViewOrBaked, device: torch.device) -> ViewOrBaked:
+    """Copy a view's tensors and its map to a device."""
+    movable = {column.name: getattr(view, column.name) for column in fields(view)}
+    moved = {name: value.to(device) for name, value in movable.items() if isinstance(value, (Tensor, SparseMap))}
+    return replace(view, **moved)

@@ -200,7 +200,7 @@ class Pool:
         for image, (shown, seed) in zip(clean, draws.views(), strict=True):
             view = cloak.bare.source.undressed(shown, seed)
             if view is not None:
-                image.copy_(compose([view], clothing, torch.zeros_like(image)[None])[0])
+                image.copy_(compose([view.to(self.device)], clothing, torch.zeros_like(image)[None])[0])
         return Pair(cloaked, clean)
 
     def state(self) -> dict[str, Tensor]:
