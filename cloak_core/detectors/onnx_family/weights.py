@@ -89,7 +89,7 @@ class TrainableWeights:
 
         tensors = _tensors(original.graph)
         for name, parameter in self.parameters.items():
-            if torch.equal(parameter.detach(), self._before[name]):
+            if torch.equal(parameter.detach().cpu(), self._before[name]):
                 continue
             use, tensor = self.uses[name], tensors[name]
             values = parameter.detach().cpu() / use.scale
