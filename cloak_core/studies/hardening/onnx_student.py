@@ -34,10 +34,7 @@ class OnnxStudent(Student):
         inputs, _ = fit(images, detector.input_size, detector.letterbox, detector.fill)
         with self.autocast(images):
             decoded = detector.answer(detector.pixels.apply(inputs))
-        scores = decoded.classes
-        if decoded.objectness is not None:
-            scores = scores * decoded.objectness[..., None]
-        return answer_of(scores, decoded.boxes)
+        return answer_of(decoded.scores, decoded.boxes)
 
     def compare(
         self, said: Answer, wanted: Answer, surer: Bool[Tensor, " B"] | None, sure: float
