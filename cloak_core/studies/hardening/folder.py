@@ -82,11 +82,7 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
             (temporary / "checkpoint").mkdir()
     if not folder.config.exists():
         raise InputError(f"{path}: not a folder of cloak harden (no config.json in it)")
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(lock(path / ".lock"))
-        except BlockingIOError:
-            raise InputError(f"{path}: another process is hardening in this folder") from None
+    with lock(path / ".lock", busy=f"{path}: another process is hardening in this folder"):
         _check(read_json(folder.config), config, path)
         if folder.checkpoint.is_symlink() or not folder.checkpoint.is_dir():
             raise InputError(f"{folder.checkpoint}: not a folder of its own")
