@@ -14,7 +14,7 @@ from cloak_core.core.polygons import per_corner, polygon_loops
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import new_folder, write_bytes, write_json, write_text
+from cloak_core.files.writing import new_folder, require_new, write_bytes, write_json, write_text
 from cloak_core.products.baking import Texture, bake, dressed
 from cloak_core.products.layout import Layout, lay_out
 from cloak_core.products.print_sheets import write_sheets
@@ -115,8 +115,7 @@ def _what_comes_out(
 
 
 def _check(out: Path, dpi: int, page: str, allowance: float, colors: int, faces: int) -> None:
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists already")
+    require_new(out)
     if page not in PAGES:
         raise InputError(f"page {page}: {', '.join(PAGES)} are known")
     if not DPI[0] <= dpi <= DPI[1]:
