@@ -6,7 +6,6 @@ Each is an extra with its own client, which decides where it writes or sends: no
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Literal
@@ -49,7 +48,8 @@ class Logger:
             self.begin(step)
             self.open = True
         elif self.open and kind == "step":
-            self.scalars(dict(_scalars(event)), step)
+            figures = {name: value for name, value in event.items() if isinstance(value, float) and name != "time"}
+            self.scalars({f"training/{name}": value for name, value in figures.items()}, step)
         elif self.open and kind == "preview":
             self.picture(self.run / event["path"], step)
 
@@ -135,9 +135,3 @@ class WandB(Logger):
 
 
 LOGGERS: dict[str, type[Logger]] = {"tensorboard": TensorBoard, "mlflow": MLflow, "wandb": WandB}
-
-
-def _scalars(event: dict) -> Iterator[tuple[str, float]]:
-    for name, value in event.items():
-        if isinstance(value, float) and name != "time":
-            yield f"training/{name}", value
