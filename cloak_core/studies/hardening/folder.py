@@ -29,8 +29,6 @@ FORMAT, EARLIER = "cloak hardening 2", "cloak hardening 1"
 """EARLIER drew other cloaks, with which its checkpoints do not go on."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""
-LATER = {"--perturbation": 0.0, "--replays": 2, "--cloths": 0.0}
-"""Settings that the first hardenings of this format did not record, and what they did."""
 
 
 class HardenFolder:
@@ -97,8 +95,6 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
         raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin in another --out")
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")
-    if recorded.get("cloaks"):
-        raise InputError(f"{path}: was begun with --cloak, which this version does not have; begin in another --out")
     before, now = (
         {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
         | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
@@ -106,6 +102,6 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
         for c in (recorded, config)
     )
     for name, value in now.items():
-        if before.get(name, LATER.get(name)) != value:
+        if before.get(name) != value:
             words = f" = {before.get(name)}, not {value}" if name.startswith("--") else ""
             raise InputError(f"{path}: was begun with other {name}{words}; resume with the same")
