@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cloak_core import __version__
@@ -31,6 +31,18 @@ FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""
 
 
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a detector is hardened on."""
+
+    bodies: Bodies
+    backgrounds: Backgrounds
+    photographs: Backgrounds | None = None
+    """Pictures of which the detector is to report what it reported; no labels."""
+    people: People | None = None
+    """Those who can be dressed; in cloaks they are to be reported as in their own clothes."""
+
+
 class HardenFolder:
     """Paths of a hardening. Make one with `open_folder`."""
 
@@ -42,22 +54,16 @@ class HardenFolder:
         self.cancel = path / "cancel"
 
 
-def harden_config(
-    settings: HardenSettings,
-    student: Student,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
-    photographs: Backgrounds | None,
-    people: People | None = None,
-) -> dict:
+def harden_config(settings: HardenSettings, student: Student, material: Material) -> dict:
     """config.json: what decides the result, and where it ran."""
+    bodies, photographs, people = material.bodies, material.photographs, material.people
     return {
         "format": FORMAT,
         "cloak": __version__,
         "settings": asdict(settings),
         "detector": {"spec": student.spec} | detector_record(student.teacher),
         "scene": {"name": bodies.name, "poses": list(bodies.names), "identity": bodies.identity},
-        "backgrounds": backgrounds.identities(),
+        "backgrounds": material.backgrounds.identities(),
         "photographs": None if photographs is None else photographs.identities(),
         "people": None if people is None else people_identity(people),
         "environment": environment(),
