@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cloak_core.commands.base import Stopped, load_scene, out
+from cloak_core.commands.base import load_scene, out
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress, announce
 from cloak_core.files.errors import InputError
@@ -137,8 +137,6 @@ class Harden(Computing):
                 out.print(f"  {lede(result[name])}")
             for path in result["files"]:
                 out.print(f"wrote {path}")
-        if result.get("stopped"):
-            raise Stopped(result["stopped"])
 
     def following(self, result: dict) -> tuple[str, ...]:
         return tuple(shlex.split(result["judge"][0])[1:])
