@@ -14,8 +14,7 @@ from cloak_core.detectors.pixels import fit
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_bytes
 from cloak_core.files.writing import write_bytes, write_text
-from cloak_core.studies.hardening.answers import Answer
-from cloak_core.studies.hardening.scores import answer_of, score_distance
+from cloak_core.studies.hardening.answers import Answer, answer_of, score_distance
 from cloak_core.studies.hardening.student import Student
 
 

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import replace_file, write_text
-from cloak_core.studies.hardening.answers import Answer
-from cloak_core.studies.hardening.scores import answer_of, score_distance
+from cloak_core.studies.hardening.answers import Answer, answer_of, score_distance
 from cloak_core.studies.hardening.student import NAME, Student
 
 LOADER = '''"""{function}() of {file} with the hardened weights beside this file."""
