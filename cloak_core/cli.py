@@ -131,6 +131,8 @@ def run(command: Command) -> int:
         result = command.run()
         with saying():
             command.show(result)
+        if result.get("stopped"):
+            raise Stopped(result["stopped"])
         code = _verdict(command, result)
         if not code and not RANK:
             with saying():

@@ -34,10 +34,9 @@ from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
-from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.pace import in_turn
-from cloak_core.studies.trainings.run_record import TrainingData
+from cloak_core.studies.trainings.run_record import Training
 from cloak_core.studies.trainings.training import make_material
 
 _log = logging.getLogger(__name__)
@@ -118,8 +117,7 @@ class Bench:
         self.logo = make_logo(bodies, logo_faces)
         self.worn = Worn.of(settings.pattern, bodies, self.logo)
         self.plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
-        data = TrainingData(bodies, backgrounds, Fits.of(people))
-        material = make_material(settings, data, self.worn, self.device)
+        material = make_material(Training(settings, bodies, self.logo, (), backgrounds, people), self.worn, self.device)
         self.is_fresh = material.source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
         techniques = Techniques.built(Setup(settings, self.worn, [], self.device))
         self.batcher = make_batcher(settings, material, self.worn, self.device, techniques)

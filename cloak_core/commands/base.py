@@ -6,13 +6,12 @@ import os
 import shlex
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 from rich.console import Console
 
-from cloak_core.files.errors import InputError, Stopped, one_line
-from cloak_core.files.writing import is_taken
+from cloak_core.files.errors import Stopped, one_line
+from cloak_core.files.writing import require_new
 from cloak_core.sources.bodies.opening import load_scene
 
 __all__ = [
@@ -96,12 +95,6 @@ def next_words(command: Command, result: dict) -> None:
     """End a long command with the one that people usually type then."""
     if words := command.following(result):
         out.print(f"Next: {shlex.join(['cloak', *words])}" + (f"  ({command.next_why})" if command.next_why else ""))
-
-
-def require_new(path: Path) -> None:
-    """Refuse an output that is there already: nothing is overwritten unasked."""
-    if is_taken(path):
-        raise InputError(f"{path}: exists already")
 
 
 def share(value: float | None) -> str:

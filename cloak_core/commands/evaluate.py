@@ -10,7 +10,7 @@ from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.commands.base import Command, out, share
-from cloak_core.commands.options import Detecting
+from cloak_core.commands.options import AboutRun, Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_people
 from cloak_core.core.detector import THRESHOLD
@@ -19,14 +19,12 @@ from cloak_core.core.settings.values import Angles
 
 
 @dataclass(kw_only=True)
-class Evaluate(Detecting):
+class Evaluate(AboutRun, Detecting):
     """Measure a trained cloak on unseen bodies and backgrounds, beside controls."""
 
     example = "runs/first"
     next_why = "one page with pictures"
 
-    run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote, or zoo:NAME."""
     colors: str | None = None
     """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map,
     FILE.png@tile=0.5 (cloth that repeats, its width in metres), print:balls@tile=0.25 (a plain print), another run, or
@@ -62,12 +60,10 @@ class Evaluate(Detecting):
     def run(self) -> dict:
         from cloak_core.library import evaluate
         from cloak_core.sources.photographs.people import load_people
-        from cloak_core.studies.trained_run import read_run, trained_specs
-        from cloak_core.zoo.entry import run_path
+        from cloak_core.studies.trained_run import trained_specs
 
         self.prepare()
-        folder = run_path(self.run_folder)
-        config = read_run(folder)
+        folder, config = self.opened()
         specs = self.detector or trained_specs(folder, config)
         people = None if self.people is None else load_people(self.people, self.images)
         with counted("evaluating", self.events) as tell:

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from tyro.conf import Positional
-
 from cloak_core.commands.base import out
-from cloak_core.commands.options import Computing
+from cloak_core.commands.options import AboutRun, Computing
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.settings.values import Angles
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Coco(Computing):
+class Coco(AboutRun, Computing):
     """Write renders of a run as a data set in COCO's format.
 
     Every image is written in own clothing, and cloaked.
@@ -27,8 +25,6 @@ class Coco(Computing):
 
     example = "runs/first --out dataset"
 
-    run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote, or zoo:NAME."""
     out: Path
     """New folder: images/ and annotations.json."""
     scene: str | None = None
@@ -65,11 +61,8 @@ class Coco(Computing):
     def _renderer(self) -> BodyRenderer:
         from cloak_core.studies.cloaked import open_cloaked
         from cloak_core.studies.evaluate import make_renderer
-        from cloak_core.studies.trained_run import read_run
-        from cloak_core.zoo.entry import run_path
 
-        folder = run_path(self.run_folder)
-        cloaked, _, _ = open_cloaked(folder, read_run(folder), self.scene, self.backgrounds)
+        cloaked, _, _ = open_cloaked(*self.opened(), self.scene, self.backgrounds)
         return make_renderer(cloaked, self.angles, self._settings(), self.compute.device)
 
     def _settings(self) -> EvaluateSettings:

@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Annotated
 
 from rich.table import Table
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from cloak_core.commands.base import out, require_new, share
-from cloak_core.commands.options import Detecting
+from cloak_core.commands.options import AboutRun, Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import FilmSettings
 
 
 @dataclass(kw_only=True)
-class Film(Detecting):
+class Film(AboutRun, Detecting):
     """Film a trained cloak in motion beside its own clothing.
 
     Told are the frames hidden, the longest visible run, the distance of the first sight, and tracks.
@@ -27,8 +27,6 @@ class Film(Detecting):
     example = "runs/first --scene sample-clothed:unseen --out walk.mp4"
     next_why = "sheets to print and sew"
 
-    run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote, or zoo:NAME."""
     out: Path
     """NAME.mp4 (extra film), NAME.gif, or a new folder for PNGs; every frame's figures stand beside it as .json."""
     scene: str | None = None
@@ -51,11 +49,9 @@ class Film(Detecting):
         require_new(self.out)
         check_film(self.out)
         from cloak_core.library import film
-        from cloak_core.studies.trained_run import read_run, trained_specs
-        from cloak_core.zoo.entry import run_path
+        from cloak_core.studies.trained_run import trained_specs
 
-        folder = run_path(self.run_folder)
-        config = read_run(folder)
+        folder, config = self.opened()
         detectors = self.by_spec(self.detector or trained_specs(folder, config))
         with counted("filming", self.events, "frames") as tell:
             return film(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cloak_core.commands.base import Stopped, load_scene, out
+from cloak_core.commands.base import load_scene, out
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress, announce
 from cloak_core.files.errors import InputError
@@ -17,8 +17,7 @@ from cloak_core.files.writing import is_taken
 from cloak_core.studies.hardening.settings import HardenSettings
 
 if TYPE_CHECKING:
-    from cloak_core.exchange.bodies import Bodies
-    from cloak_core.sources.backdrops.backgrounds import Backgrounds
+    from cloak_core.studies.hardening.folder import Material
     from cloak_core.studies.hardening.student import Student
 
 
@@ -69,6 +68,7 @@ class Harden(Computing):
         from cloak_core.detectors.naming import full_spec
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
         from cloak_core.sources.photographs.people import load_people
+        from cloak_core.studies.hardening.folder import Material
         from cloak_core.studies.hardening.hardening import harden
         from cloak_core.studies.hardening.places import check_places
         from cloak_core.studies.hardening.students import open_student
@@ -83,17 +83,14 @@ class Harden(Computing):
         backgrounds = load_backgrounds(self.backgrounds)
         if not self.backgrounds.startswith("procedural"):
             check_places(backgrounds, student.teacher, self.settings.size, self.backgrounds)
-        material = {
-            "photographs": None if self.photos is None else load_backgrounds(self.photos),
-            "people": None if self.people is None else load_people(self.people, self.images),
-        }
-        settings = self._planned(student, bodies, backgrounds, material)
+        photographs = None if self.photos is None else load_backgrounds(self.photos)
+        people = None if self.people is None else load_people(self.people, self.images)
+        material = Material(bodies, backgrounds, photographs, people)
+        settings = self._planned(student, material)
         if settings.decoys and settings.finished and not self.resume:
             announce("cloaks to begin with", settings.finished, unit="trainings")
         with TrainingProgress(label="hardening") as progress:
-            result = harden(
-                settings, student, bodies, backgrounds, self.out, **material, resume=self.resume, on_event=progress
-            )
+            result = harden(settings, student, material, self.out, resume=self.resume, on_event=progress)
         stopped = f"stopped at step {result.step}: {result.stopped}" if result.stopped else ""
         skipped = stopped or ("" if self.assess else "--no-assess: nobody asked for them")
         record = {"before": None, "after": None, "no_cards": skipped} if skipped else self._cards(result.spec)
@@ -101,7 +98,7 @@ class Harden(Computing):
         record |= {"seconds": round(result.seconds, 1), "judge": self._commands(result.spec)}
         return record | ({"stopped": stopped} if stopped else {})
 
-    def _planned(self, student: Student, bodies: Bodies, backgrounds: Backgrounds, material: dict) -> HardenSettings:
+    def _planned(self, student: Student, material: Material) -> HardenSettings:
         """Settings with the counts that --hours asks for; those of the record where a hardening goes on."""
         from cloak_core.studies.hardening.planning import measure_pace, plan, planned_words, recorded_plan
 
@@ -109,7 +106,7 @@ class Harden(Computing):
             return self.settings
         if self.resume and self.out.exists():
             return recorded_plan(self.settings, self.out)
-        pace = measure_pace(self.settings, student, bodies, backgrounds, **material)
+        pace = measure_pace(self.settings, student, material)
         settings = plan(self.settings, pace, self.hours)
         out.print(planned_words(settings, pace, self.hours))
         return settings
@@ -140,8 +137,6 @@ class Harden(Computing):
                 out.print(f"  {lede(result[name])}")
             for path in result["files"]:
                 out.print(f"wrote {path}")
-        if result.get("stopped"):
-            raise Stopped(result["stopped"])
 
     def following(self, result: dict) -> tuple[str, ...]:
         return tuple(shlex.split(result["judge"][0])[1:])

@@ -6,10 +6,9 @@ Each is an extra with its own client, which decides where it writes or sends: no
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType, TracebackType
-from typing import Literal
+from types import TracebackType
+from typing import ClassVar, Literal
 
 from cloak_core.core.pictures import read_picture
 from cloak_core.files.errors import InputError
@@ -21,10 +20,19 @@ Log = Literal["tensorboard", "mlflow", "wandb"]
 class Logger:
     """Takes a run's events and hands scalars and previews to a client. InputError: its package is not installed."""
 
+    package: ClassVar[str]
+    """The client; the last part of its name is that of its extra."""
+    title: ClassVar[str]
+    """What people call it."""
+
     def __init__(self, run: Path) -> None:
         self.run = run
-        self.client = self.imported()
         self.open = False
+        try:
+            self.client = importlib.import_module(self.package)
+        except ImportError:
+            extra = self.package.rpartition(".")[2]
+            raise InputError(f"--log {extra}: needs {self.title}: pip install 'cloak-core[{extra}]'") from None
 
     def __enter__(self) -> Logger:
         return self
@@ -40,13 +48,10 @@ class Logger:
             self.begin(step)
             self.open = True
         elif self.open and kind == "step":
-            self.scalars(dict(_scalars(event)), step)
+            figures = {name: value for name, value in event.items() if isinstance(value, float) and name != "time"}
+            self.scalars({f"training/{name}": value for name, value in figures.items()}, step)
         elif self.open and kind == "preview":
             self.picture(self.run / event["path"], step)
-
-    def imported(self) -> ModuleType:
-        """Import the client."""
-        raise NotImplementedError
 
     def begin(self, step: int) -> None:
         """Begin, or go on behind `step`."""
@@ -72,11 +77,8 @@ class Logger:
 class TensorBoard(Logger):
     """Files in RUN/tensorboard."""
 
-    def imported(self) -> ModuleType:
-        try:
-            return importlib.import_module("torch.utils.tensorboard")
-        except ImportError:
-            raise _missing("tensorboard", "TensorBoard") from None
+    package = "torch.utils.tensorboard"
+    title = "TensorBoard"
 
     def begin(self, step: int) -> None:
         # What an earlier part wrote of later steps is hidden.
@@ -96,12 +98,8 @@ class TensorBoard(Logger):
 class MLflow(Logger):
     """A run of MLflow's, in the experiment and at the address that its own environment variables name."""
 
-    def imported(self) -> ModuleType:
-        try:
-            import mlflow
-        except ImportError:
-            raise _missing("mlflow", "MLflow") from None
-        return mlflow
+    package = "mlflow"
+    title = "MLflow"
 
     def begin(self, step: int) -> None:
         self.client.start_run(run_name=self.run.name)
@@ -120,12 +118,8 @@ class MLflow(Logger):
 class WandB(Logger):
     """A run of Weights & Biases, in the project and mode that its own environment variables name (project: cloak)."""
 
-    def imported(self) -> ModuleType:
-        try:
-            import wandb
-        except ImportError:
-            raise _missing("wandb", "Weights & Biases") from None
-        return wandb
+    package = "wandb"
+    title = "Weights & Biases"
 
     def begin(self, step: int) -> None:
         self._run = self.client.init(project="cloak", name=self.run.name, dir=str(self.run), config=self.settings())
@@ -141,13 +135,3 @@ class WandB(Logger):
 
 
 LOGGERS: dict[str, type[Logger]] = {"tensorboard": TensorBoard, "mlflow": MLflow, "wandb": WandB}
-
-
-def _scalars(event: dict) -> Iterator[tuple[str, float]]:
-    for name, value in event.items():
-        if isinstance(value, float) and name != "time":
-            yield f"training/{name}", value
-
-
-def _missing(extra: str, name: str) -> InputError:
-    return InputError(f"--log {extra}: needs {name}: pip install 'cloak-core[{extra}]'")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, arg
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from cloak_core.commands.base import Command, err, warn
 from cloak_core.core.settings import check_settings
@@ -132,6 +132,22 @@ class Detecting(Computing):
 
         specs = tuple(dict.fromkeys(map(full_spec, specs)))
         return dict(zip(specs, self.load_all(specs), strict=True))
+
+
+@dataclass(kw_only=True)
+class AboutRun(Command):
+    """A command about a run, or an entry of the zoo."""
+
+    run_folder: Positional[Path]
+    """Run folder that `cloak train` wrote, or zoo:NAME."""
+
+    def opened(self) -> tuple[Path, dict]:
+        """Find the run's folder and read its config.json. InputError: no finished run."""
+        from cloak_core.studies.trained_run import read_run
+        from cloak_core.zoo.entry import run_path
+
+        folder = run_path(self.run_folder)
+        return folder, read_run(folder)
 
 
 @dataclass(kw_only=True)

@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import UseAppendAction
 
 from cloak_core.commands.base import Command, load_scene, out
+from cloak_core.commands.options import AboutRun
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 
 
 @dataclass(kw_only=True)
-class Print(Command):
+class Print(AboutRun):
     """Lay a logo out flat at true size, as sheets to print and cut (PDF).
 
     Beside the sheets: the texture, and the body with it (GLB, OBJ).
@@ -22,8 +23,6 @@ class Print(Command):
 
     example = "runs/first --out sheets"
 
-    run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote, or zoo:NAME."""
     out: Path
     """New folder to write."""
     scene: str | None = None
@@ -50,15 +49,12 @@ class Print(Command):
         from cloak_core.products.printing import print_logo
         from cloak_core.sources.bodies.logos.palette import read_palette
         from cloak_core.studies.printed_cloth import cloth_of_run
-        from cloak_core.studies.trained_run import read_run
-        from cloak_core.zoo.entry import run_path
 
         if self.palette is not None and self.profile is not None:
             raise InputError("--palette and --profile: either tells which colours there are")
         profile = None if self.profile is None else read_profile(self.profile)
         palette = None if self.palette is None else read_palette(self.palette)
-        folder = run_path(self.run_folder)
-        config = read_run(folder)
+        folder, config = self.opened()
         scene = self.scene or config.get("inputs", {}).get("scene")
         if not scene:
             raise InputError("--scene: say which body (the run does not record it)")

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,7 +44,7 @@ class Setup(Command):
             return about()
         place = self.into.expanduser().absolute()
         make_environment(place, existing_source(self.source), self.share_torch)
-        return {"program": str(place / SCRIPTS / PROGRAM), "python": str(place / SCRIPTS / PYTHON)}
+        return {"program": str(place / SCRIPTS / PROGRAM), "python": python_in(place)}
 
     def show(self, result: dict) -> None:
         for name, value in result.items():
@@ -86,33 +85,21 @@ def make_environment(place: Path, source: str, share_torch: bool) -> None:
         raise InputError("--share-torch: this Python has no torchvision beside its torch")
     require_room(place.parent, GIGABYTES_WITHOUT_TORCH if share_torch else GIGABYTES)
     try:
-        for command in commands(place, source, share_torch):
-            run_or_refuse(command)
+        run_or_refuse([sys.executable, "-m", "venv", str(place)])
         if share_torch:
             torch_folder = importlib.util.find_spec("torch").submodule_search_locations[0]
             purelib = run_or_refuse([python_in(place), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"])
             write_text(Path(purelib.strip(), "torch.pth"), f"{Path(torch_folder).parent}\n")
-            run_or_refuse(pip(place, source))
+        options = ["--no-input", "--disable-pip-version-check"]
+        run_or_refuse([python_in(place), "-m", "pip", "install", *options, source])
     except BaseException:
         shutil.rmtree(place, ignore_errors=True)
         raise
 
 
-def commands(place: Path, source: str, share_torch: bool) -> Iterator[list[str]]:
-    """Make the environment, and fill it unless it has to see another torch first."""
-    yield [sys.executable, "-m", "venv", str(place)]
-    if not share_torch:
-        yield pip(place, source)
-
-
 def python_in(place: Path) -> str:
     """The Python of an environment."""
     return str(place / SCRIPTS / PYTHON)
-
-
-def pip(place: Path, source: str) -> list[str]:
-    """What installs a source there."""
-    return [python_in(place), "-m", "pip", "install", "--no-input", "--disable-pip-version-check", source]
 
 
 def require_room(folder: Path, gigabytes: float) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import Stopped, err, out
+from cloak_core.commands.base import err, out
 from cloak_core.commands.options import prepare_process
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.sharing import Sharing
@@ -66,8 +66,6 @@ class Sweep(Sharing):
     def show(self, result: dict) -> None:
         out.print(read_text(self.out / "sweep.md", MAX_TEXT_BYTES))
         out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done")
-        if result.get("stopped"):
-            raise Stopped(result["stopped"])
 
     def following(self, result: dict) -> tuple[str, ...]:
         return ("evaluate", str(self.out)) if any("success" in row for row in result["results"]) else ()

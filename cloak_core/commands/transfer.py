@@ -193,8 +193,6 @@ class Transfer(Splitting, Detecting, Sharing):
             out.print(f"{means}; {images} images each")
         for path in result["files"]:
             out.print(f"wrote {path}")
-        if result.get("stopped"):
-            raise Stopped(result["stopped"])
 
     def following(self, result: dict) -> tuple[str, ...]:
         named = [word for spec in self.detector for word in ("--detector", spec)]

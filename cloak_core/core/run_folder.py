@@ -84,11 +84,7 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
     run = RunFolder(path)
     if not run.config.exists():
         raise InputError(f"{path}: not a run folder (no config.json in it)")
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(lock(path / ".lock"))
-        except BlockingIOError:
-            raise InputError(f"{path}: another process is training in this folder") from None
+    with lock(path / ".lock", busy=f"{path}: another process is training in this folder"):
         recorded = read_json(run.config)
         check_same(recorded, config, path)
         run.changes = changes_around(recorded, config)

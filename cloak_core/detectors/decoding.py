@@ -22,6 +22,11 @@ class Decoded(NamedTuple):
     """Probabilities of the classes, times objectness only where the layout has folded it in."""
     objectness: Float[Tensor, "B N"] | None = None
 
+    @property
+    def scores(self) -> Float[Tensor, "B N K"]:
+        """The classes' scores, as detectors report them."""
+        return self.classes if self.objectness is None else self.classes * self.objectness[..., None]
+
     def of_person(self, person: int, placement: Placement, first: int = 0) -> Detections:
         """Give the boxes in the images' pixels, the person's score and the best other's; see `best_other`."""
         scores, other = self.classes[..., person], best_other(self.classes, person, first)

@@ -163,16 +163,8 @@ def _set_output(streams: tuple) -> None:
     sys.stdout, sys.stderr = streams
 
 
-def _raising() -> list[tuple]:
-    return [rule for rule in warnings.filters if rule[0] == "error"]
-
-
 def _set_raising(rules: list[tuple]) -> None:
     warnings.filters[:] = [rule for rule in warnings.filters if rule[0] != "error" or rule in rules]
-
-
-def _set_numpy(settings: dict[str, str]) -> None:
-    np.seterr(**settings)
 
 
 _entered: list[torch.inference_mode] = []
@@ -187,8 +179,8 @@ _KEPT: tuple[tuple[Callable[[], object], Callable[..., object]], ...] = (
     (_working_folder, _set_folder),
     (lambda: [*sys.path], _set_path),
     (lambda: (sys.stdout, sys.stderr), _set_output),
-    (_raising, _set_raising),
-    (np.geterr, _set_numpy),
+    (lambda: [rule for rule in warnings.filters if rule[0] == "error"], _set_raising),
+    (np.geterr, lambda settings: np.seterr(**settings)),
 )
 """What is set back: how it is read, and written. Inference mode comes first, for it changes the gradients' mode."""
 _SIGNALS = tuple(

@@ -12,7 +12,7 @@ from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.naming import behind_defences, full_spec, refuse_typing_errors
 from cloak_core.detectors.specs import Request, check_size, parse_spec, with_person_class
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, first_line
 
 PRECISIONS = ("float32", "bfloat16", "auto")
 
@@ -123,7 +123,7 @@ def compile_detector(detector: Detector) -> Detector:
         try:
             return run(images)
         except (torch._inductor.exc.InvalidCxxCompiler, torch._dynamo.exc.BackendCompilerFailed) as error:
-            reason = str(error).strip().splitlines()[0][:160]
+            reason = first_line(error)[:160]
             raise InputError(
                 f"--compile: torch cannot compile here ({reason}); install a C++ compiler, or drop it"
             ) from error

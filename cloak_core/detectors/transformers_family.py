@@ -20,7 +20,7 @@ from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import IMAGENET, Placement
 from cloak_core.detectors.specs import MAX_SIDE, Request, check_size
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 
@@ -181,5 +181,4 @@ def _preprocessing(where: str, model_type: str, request: Request) -> Preprocessi
 def _reason(error: Exception, source: str) -> str:
     if not Path(source).expanduser().is_dir() and isinstance(error, OSError):
         return f"no such folder, and not in the local cache (allow --download, or fetch it with: hf download {source})"
-    first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    return f"cannot be loaded: {first[:200]}"
+    return f"cannot be loaded: {first_line(error)[:200]}"

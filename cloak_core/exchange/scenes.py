@@ -9,7 +9,7 @@ import numpy as np
 
 from ..files.errors import InputError
 from ..files.reading import read_json, read_npz
-from ..files.writing import new_folder, write_json, write_npz
+from ..files.writing import new_folder, require_new, write_json, write_npz
 from .bodies import Bodies
 from .checks import frozen
 from .versions import FORMAT_VERSION, check_version
@@ -66,8 +66,7 @@ def _bodies_from_arrays(arrays: dict[str, np.ndarray], name: str, topology: obje
 def write_scene(folder: str | os.PathLike, bodies: Bodies, creator: str = "cloak") -> Path:
     """Write a scene package; the folder must not exist yet (or be empty). It appears whole or not at all."""
     folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: exists already")
+    require_new(folder)
     arrays = {key: getattr(bodies, key) for key in ("vertices", "triangles", *OPTIONAL)}
     arrays = {key: array for key, array in arrays.items() if array is not None}
     arrays |= {f"region_{k}": v for k, v in bodies.regions.items()}

@@ -12,13 +12,16 @@ from .writing import open_to_append, try_lock
 
 
 @contextlib.contextmanager
-def lock(path: Path, wait: bool = False) -> Iterator[None]:
+def lock(path: Path, wait: bool = False, busy: str = "") -> Iterator[None]:
     """Hold the lock file `path`, which the system releases when the process ends, however it ends.
 
-    BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made.
+    BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made; with `busy`, which says
+    who else there may be, also that it is held.
     """
     with open_to_append(path) as file:
         while not try_lock(file.fileno(), path):
+            if busy:
+                raise InputError(busy)
             if not wait:
                 raise BlockingIOError(f"{path}: held by another process")
             time.sleep(0.05)

@@ -78,6 +78,12 @@ def is_taken(path: str | os.PathLike) -> bool:
     return path.exists() and not (path.is_dir() and not path.is_symlink() and not any(path.iterdir()))
 
 
+def require_new(path: str | os.PathLike) -> None:
+    """Refuse an output that is there already: nothing is overwritten unasked. InputError: `is_taken`."""
+    if is_taken(path):
+        raise InputError(f"{path}: exists already")
+
+
 def remove_leftovers(path: str | os.PathLike) -> None:
     """Remove what writers of this file or folder left beside it when they were killed. Nobody may be writing it now."""
     path = Path(path)

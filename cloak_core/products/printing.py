@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer
 from PIL import Image
 
+from cloak_core.core.pictures import save_picture
 from cloak_core.core.polygons import per_corner, polygon_loops
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import new_folder, write_bytes, write_json, write_text
+from cloak_core.files.writing import new_folder, require_new, write_bytes, write_json, write_text
 from cloak_core.products.baking import Texture, bake, dressed
 from cloak_core.products.layout import Layout, lay_out
 from cloak_core.products.print_sheets import write_sheets
@@ -71,9 +71,9 @@ def print_logo(
     texture = painted(near if project or profile is not None else worn)
     sheets = texture if sent is None else painted(sent)
     with new_folder(out) as folder:
-        write_bytes(folder / "cloak.png", png(texture.image))
+        save_picture(folder / "cloak.png", Image.fromarray(texture.image))
         if sent is not None:
-            write_bytes(folder / "to-print.png", png(sheets.image))
+            save_picture(folder / "to-print.png", Image.fromarray(sheets.image))
         write_glb(folder / "body.glb", bodies, texture)
         write_obj(folder / "body.obj", bodies, texture, "cloak.png")
         drawn = write_sheets(folder / "sheets.pdf", bodies, layout, sheets, page, title, allowance)
@@ -115,8 +115,7 @@ def _what_comes_out(
 
 
 def _check(out: Path, dpi: int, page: str, allowance: float, colors: int, faces: int) -> None:
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists already")
+    require_new(out)
     if page not in PAGES:
         raise InputError(f"page {page}: {', '.join(PAGES)} are known")
     if not DPI[0] <= dpi <= DPI[1]:
@@ -185,12 +184,6 @@ def write_glb(path: Path, bodies: Bodies, texture: Texture) -> None:
         process=False,
     )
     write_bytes(path, mesh.export(file_type="glb"))
-
-
-def png(image: np.ndarray) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, "PNG")
-    return file.getvalue()
 
 
 def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str) -> None:

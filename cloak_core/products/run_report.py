@@ -80,7 +80,7 @@ def _evaluation(stored: StoredEvaluation) -> dict:
     return {
         "summary": summary,
         "threshold": summary["settings"]["threshold"],
-        "detectors": [_detector(stored, d, spec) for d, spec in enumerate(specs)],
+        "detectors": [_on_bodies(stored, spec) for spec in specs],
         "controls": list(stored.results.controls),
         "gallery": gallery,
         "columns": max([3, *(len(pairs) for _, pairs in gallery)]),  # fewer would be larger than they were rendered
@@ -101,20 +101,9 @@ def _photographs(stored: StoredEvaluation) -> dict:
     summary = summary | {"detectors": {spec: summary["detectors"][spec] for spec in specs}}
     controls = stored.results.controls
     images = pictures["controls"]["images"]
+    rows = {spec: [(control, rates[control]) for control in controls] for spec, rates in summary["detectors"].items()}
     detectors = [
-        {
-            "spec": spec,
-            "name": words.short_name(spec),
-            "own": summary["operating_points"][spec],
-            "white_box": summary["white_box"].get(spec),
-            "rows": [(control, summary["detectors"][spec][control]) for control in controls],
-            "false_alarms": summary["false_alarms"][spec],
-            "bare": len(stored.results.rows(spec, NOBODY)),
-            "failures": [_pair(folder, [spec], pair) for pair in pictures["failures"].get(spec, [])],
-            "failed": int((~hidden(stored.results.rows(spec, controls[0]), summary["settings"]["threshold"])).sum()),
-            "hash": summary["inputs"]["detector_hashes"][spec],
-        }
-        for spec in specs
+        _detector(stored, spec) | {"white_box": summary["white_box"].get(spec), "rows": rows[spec]} for spec in specs
     ]
     return {
         "summary": summary,
@@ -127,27 +116,32 @@ def _photographs(stored: StoredEvaluation) -> dict:
     }
 
 
-def _detector(stored: StoredEvaluation, d: int, spec: str) -> dict:
-    results, summary = stored.results, stored.summary
-    folder = stored.folder / "pictures"
-    rates = summary["detectors"][spec]
-    threshold = summary["settings"]["threshold"]
-    logo = results.rows(spec, results.controls[0])
-    figures = plots.evaluation_figures(results, spec, threshold)
+def _on_bodies(stored: StoredEvaluation, spec: str) -> dict:
+    """Prepare what is shown of a detector that judged renders."""
+    results, rates = stored.results, stored.summary["detectors"][spec]
+    figures = plots.evaluation_figures(results, spec, stored.summary["settings"]["threshold"])
     worst = stored.pictures.get("worst", {}).get(spec, [])
+    return _detector(stored, spec) | {
+        "rows": [(c, rates[c], rates["average_precision"][c]) for c in results.controls],
+        "figures": {title: svg(figure) for title, figure in figures.items()},
+        "worst": [_pair(stored.folder / "pictures", [spec], pair) | {"success": pair["success"]} for pair in worst],
+        "bodies": results.rows(spec, results.controls[0])["pose"].nunique(),
+    }
+
+
+def _detector(stored: StoredEvaluation, spec: str) -> dict:
+    """Prepare what is shown of any detector that judged."""
+    results, summary = stored.results, stored.summary
+    logo = results.rows(spec, results.controls[0])
+    failures = stored.pictures["failures"].get(spec, [])
     return {
-        "index": d,
         "spec": spec,
         "own": summary.get("operating_points", {}).get(spec),
         "name": words.short_name(spec),
-        "rows": [(c, rates[c], rates["average_precision"][c]) for c in results.controls],
         "false_alarms": summary["false_alarms"][spec],
         "bare": len(results.rows(spec, NOBODY)),
-        "figures": {title: svg(figure) for title, figure in figures.items()},
-        "failures": [_pair(folder, [spec], pair) for pair in stored.pictures["failures"].get(spec, [])],
-        "worst": [_pair(folder, [spec], pair) | {"success": pair["success"]} for pair in worst],
-        "bodies": logo["pose"].nunique(),
-        "failed": int((~hidden(logo, threshold)).sum()),
+        "failures": [_pair(stored.folder / "pictures", [spec], pair) for pair in failures],
+        "failed": int((~hidden(logo, summary["settings"]["threshold"])).sum()),
         "hash": summary["inputs"]["detector_hashes"][spec],
     }
 

@@ -20,8 +20,7 @@ from cloak_core.core.evaluation.measure import OnProgress, batches
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.screen import GRID
-from cloak_core.files.errors import InputError
-from cloak_core.files.writing import new_folder, write_json
+from cloak_core.files.writing import new_folder, require_new, write_json
 from cloak_core.studies.body_renderer import BodyRenderer
 from cloak_core.studies.report.pictures import to_pil
 
@@ -44,8 +43,7 @@ def export_coco(
 
     InputError: the folder exists and is not empty.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists already")
+    require_new(out)
     images, annotations = [], []
     with new_folder(out) as folder:
         (folder / IMAGES).mkdir()

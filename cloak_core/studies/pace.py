@@ -11,6 +11,7 @@ import torch
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.detector.scoring import max_person_score
+from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.studies.report.words import duration
 
 SOON = 10.0
@@ -20,14 +21,17 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Pace:
-    """Seconds for an image of a detector: forward alone, and with its gradient."""
+    """Seconds for an image of a detector: forward alone, and with its gradient (of a black box: forward alone)."""
 
     forward: float
     gradient: float
 
 
-def measured_pace(detector: Detector, size: int) -> Pace:
-    """Time a detector on two images, the better of two turns each."""
+def measured_pace(detector: Detector, size: int, gradient_threads: int | None = None) -> Pace:
+    """Time a detector on two images, the better of two turns each.
+
+    gradient_threads: of the CPU, for the gradient; None: as many as torch has.
+    """
     images = torch.rand(2, 3, size, size, generator=torch.Generator().manual_seed(0)).to(detector.device)
 
     def forward() -> None:
@@ -36,7 +40,8 @@ def measured_pace(detector: Detector, size: int) -> Pace:
 
     def gradient() -> None:
         pixels = images.clone().requires_grad_()
-        torch.autograd.grad(max_person_score(detector(pixels)).sum(), pixels)
+        with torch_threads(gradient_threads):
+            torch.autograd.grad(max_person_score(detector(pixels)).sum(), pixels)
 
     alone = _timed(forward)
     return Pace(alone, _timed(gradient) if detector.differentiable else alone)

@@ -44,29 +44,17 @@ _NAME = re.compile(r"(.*-)?[0-9a-f]{16}")
 Prepare = Callable[[ComputeSettings], object]
 
 
-@cache
-def _scene(spec: str) -> Bodies:
-    """Open a scene, once in a process."""
-    return load_scene(spec)
-
-
-@cache
-def _backgrounds(spec: str) -> Backgrounds:
-    """Open backgrounds, once in a process."""
-    return load_backgrounds(spec)
-
-
-@cache
-def _detector(spec: str, device: str) -> Detector:
-    """Load a detector, once in a process."""
-    return load_detector(spec, device=device)
+# Each is opened once in a process.
+_scene = cache(load_scene)
+_backgrounds = cache(load_backgrounds)
+_detector = cache(load_detector)
 
 
 def open_run(run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
     """Open bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
     bodies = _scene(run.scene)
     logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
-    detectors = [_detector(spec, run.settings.compute.device) for spec in run.detectors]
+    detectors = [_detector(spec, device=run.settings.compute.device) for spec in run.detectors]
     return bodies, logo, detectors, _backgrounds(run.backgrounds)
 
 
@@ -115,11 +103,8 @@ class Sweep:
             for name in ("runs", "results"):
                 (self.out / name).mkdir(parents=True, exist_ok=True)
         tell(f"{len(left)} of {len(self.runs)} runs to train")
-        with contextlib.ExitStack() as stack:
-            try:
-                stack.enter_context(lock(self.out / ".lock"))
-            except BlockingIOError:
-                raise InputError(f"{self.out}: another sweep is at it; many at once are --ray's business") from None
+        busy = f"{self.out}: another sweep is at it; many at once are --ray's business"
+        with lock(self.out / ".lock", busy=busy):
             listener = None if executor else on_event
             jobs = {self._job(run, folder, listener, prepare, gpus): (run, folder) for run, folder in left}
             return self._hand_out(executor, jobs, tell)

@@ -17,24 +17,20 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
 from cloak_core.core.logo import Logo
 from cloak_core.core.loop import RunResult
 from cloak_core.core.run_config import FILES, decisive
 from cloak_core.core.settings import TrainSettings, settings_record
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
 from cloak_core.files.locks import lock
 from cloak_core.files.writing import remove_leftovers, written
-from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import Fits
-from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.studies.trained_run import clocked, cpu_seconds, read_history
-from cloak_core.studies.trainings.run_record import TrainingData, device_kind
+from cloak_core.studies.trainings.run_record import Training, device_kind
 from cloak_core.studies.trainings.training import train, training_config
 
 _log = logging.getLogger("cloak")
@@ -42,21 +38,6 @@ TRAINING_VERSION = 4
 """Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
 objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")
-
-
-@dataclass(frozen=True, eq=False)
-class Training:
-    """Everything that a training is made of."""
-
-    settings: TrainSettings
-    bodies: Bodies
-    logo: Logo
-    detectors: Sequence[Detector]
-    backgrounds: Backgrounds
-    people: Sequence[Fit] = ()
-    """Fitted people in photographs."""
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    """Names under which the user gave all this, for the record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,19 +118,7 @@ class TrainingStore:
 
     def _go_on(self, training: Training, folder: Path) -> RunResult:
         with clocked(folder):
-            return train(
-                training.settings,
-                training.bodies,
-                training.logo,
-                training.detectors,
-                training.backgrounds,
-                folder,
-                resume=True,
-                on_event=self.on_event,
-                inputs=training.inputs,
-                alone=self.alone,
-                people=training.people,
-            )
+            return train(**vars(training), out=folder, resume=True, on_event=self.on_event, alone=self.alone)
 
     @contextlib.contextmanager
     def locked(self, folder: Path) -> Iterator[None]:
@@ -170,8 +139,7 @@ class TrainingStore:
         material = (training.bodies, sha256_arrays(logo.face_ids), precisions, training.backgrounds)
         place = (*material, Fits.of(training.people).people, *named, settings.pattern)
         if place not in self._hashes:
-            data = TrainingData(training.bodies, training.backgrounds, Fits.of(training.people))
-            config = training_config(settings, data, logo, training.detectors)
+            config = training_config(training)
             record = decisive(config) | {"settings": None}
             record["packages"] = [detector["packages"] for detector in config["detectors"]]
             self._hashes[place] = sha256_record(record)

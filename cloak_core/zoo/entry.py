@@ -27,7 +27,7 @@ from cloak_core.files.errors import InputError, suggestion
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import parse_json, read_json, read_npz
 from cloak_core.files.specs import without_folders
-from cloak_core.files.writing import new_folder, remove_leftovers, write_json, write_npz
+from cloak_core.files.writing import new_folder, remove_leftovers, require_new, write_json, write_npz
 
 FORMAT = "cloak zoo 1"
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
@@ -49,8 +49,7 @@ class Entry:
 
     def write_run(self, folder: Path) -> Path:
         """Make a run folder of it. InputError: it exists and holds something."""
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder}: exists already")
+        require_new(folder)
         with new_folder(folder) as temporary:
             write_json(temporary / "config.json", self.config)
             write_json(temporary / "zoo.json", self.record)

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import jsonschema
 import numpy as np
 import pytest
+import torch
 
 from cloak_core.cli import main
 from cloak_core.commands import progress as progress_module
@@ -27,7 +28,8 @@ from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.leaderboard import folder_names, gather, leaderboard_row, write_leaderboard
 from cloak_core.studies.card.page import write_card, write_comparison
 from cloak_core.studies.card.protocol import AREAS, FULL, QUICK, SIZES, STANDARD, nested_areas, updates_needed
-from cloak_core.studies.card.work import Pace, Work, measure_pace
+from cloak_core.studies.card.work import Work
+from cloak_core.studies.pace import Pace, measured_pace
 from cloak_core.studies.report import page as page_module
 from cloak_core.studies.statistics_card import stance_of
 from tests.schemas import validate
@@ -170,12 +172,20 @@ def test_cloaks_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
     assert np.array_equal(colors[1], colors[3])
 
 
-def test_the_time_is_told_from_a_measured_pace(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0, 0, 0, 0, 0.0, 0.4, 1.0, 2.2])
-    monkeypatch.setattr("cloak_core.studies.card.work.time", SimpleNamespace(monotonic=lambda: next(clock)))
-    pace = measure_pace(Glow("glow"), 32)
-    assert isinstance(pace, Pace) and (pace.forward, pace.gradient) == pytest.approx((0.1, 0.3))
-    assert pace.seconds({"attack": (300.0, 0.0), "look": (0.0, 50.0)}) == pytest.approx(100 * 0.3 + 50 * 0.1)
+def test_the_time_is_told_from_a_measured_pace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0, 9, 0.0, 0.2, 0, 9, 1.0, 1.6])
+    monkeypatch.setattr("cloak_core.studies.pace.time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    threads = []
+    glow = Glow("glow")
+    glow.register_forward_pre_hook(lambda *_: threads.append(torch.get_num_threads()))
+    with torch_threads(2):
+        pace = measured_pace(glow, 32, gradient_threads=1)
+    assert (pace.forward, pace.gradient) == pytest.approx((0.1, 0.3)) and threads == [2, 2, 1, 1]
+    work = Work({"attack": (300.0, 0.0), "look": (0.0, 50.0)}, tmp_path / "spent.json", "this")
+    assert work.seconds_left(pace) == pytest.approx(100 * 0.3 + 50 * 0.1)
+    with work.part("look"):
+        pass
+    assert work.seconds_left(pace) == pytest.approx(100 * 0.3)
 
 
 @pytest.mark.slow

@@ -13,15 +13,15 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.backdrops.procedural import draw_scene
 from cloak_core.studies.trained_run import seen_in_training, trained_against
-from cloak_core.studies.trainings.run_record import run_config
+from cloak_core.studies.trainings.run_record import Training, run_config
 from tests.core.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
 from tests.detectors.helpers import TINY_CFG, write_tiny
 
 
 def recorded(bodies: Bodies, backgrounds: Backgrounds, detectors: tuple = ()) -> dict:
     """As config.json has it."""
-    config = run_config(tiny_settings(), bodies, front_logo(bodies), detectors, backgrounds, {})
-    return json.loads(json.dumps(config))
+    training = Training(tiny_settings(), bodies, front_logo(bodies), detectors, backgrounds)
+    return json.loads(json.dumps(run_config(training)))
 
 
 def save(folder: Path, name: str, picture: Image.Image, **options: object) -> Backgrounds:

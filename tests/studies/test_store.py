@@ -15,7 +15,6 @@ from cloak_core.studies import training_store
 from cloak_core.studies.data_split import DataSplit, open_data_split
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Training, TrainingStore, content_key
-from cloak_core.studies.trainings.run_record import TrainingData
 from cloak_core.studies.trainings.training import training_config
 from tests.studies.made_split import Glow, make_options, make_split
 
@@ -96,15 +95,10 @@ def test_a_training_is_its_key_where_a_run_folder_goes_on(split: DataSplit, tmp_
     for free in ({"preview_every": 7}, {"max_seconds": 5.0}):
         again = replace(base, settings=settings.changed(**free))
         assert store.training_key(again) == store.training_key(base)
-        check_same(_config(base), _config(again), tmp_path)
+        check_same(training_config(base), training_config(again), tmp_path)
     for other in others:
         with pytest.raises(InputError, match="was started with"):
-            check_same(_config(base), _config(other), tmp_path)
-
-
-def _config(training: Training) -> dict:
-    material = TrainingData(training.bodies, training.backgrounds)
-    return training_config(training.settings, material, training.logo, training.detectors)
+            check_same(training_config(base), training_config(other), tmp_path)
 
 
 def test_a_detector_run_by_another_source_is_measured_anew(split: DataSplit, tmp_path: Path) -> None:

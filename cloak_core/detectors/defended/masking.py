@@ -11,7 +11,7 @@ from safetensors.torch import load
 from torch import Tensor, nn
 
 from cloak_core.detectors.defended.squeezing import Defence, straight_through
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import read_bytes
 
 WEIGHTS = Path(__file__).with_name("segmenter.safetensors")
@@ -54,7 +54,7 @@ def load_segmenter(path: Path = WEIGHTS) -> PatchSegmenter:
     try:
         network.load_state_dict(load(read_bytes(path)))
     except (SafetensorError, RuntimeError) as error:
-        raise InputError(f"{path}: not the weights of a patch segmenter ({str(error).splitlines()[0]})") from None
+        raise InputError(f"{path}: not the weights of a patch segmenter ({first_line(error)})") from None
     return network.eval().requires_grad_(False)
 
 

@@ -66,7 +66,7 @@ def compare(converted: Answer, original: Answer, images: Float[Tensor, "B 3 H W"
             batch = max(_apart([_row(together, i)], [expected[i]])[0] for i in range(len(images)))
         except Exception:  # a graph of a fixed batch fails in many ways
             batch = None
-    gradient = gradient_error(lambda pixels: _scores(converted(pixels)), images[:1])
+    gradient = gradient_error(lambda pixels: converted(pixels).scores, images[:1])
     return Parity(scores, boxes, batch, gradient)
 
 
@@ -108,13 +108,9 @@ def _apart(some: list[Decoded], others: list[Decoded]) -> tuple[float, float]:
     for a, b in zip(some, others, strict=True):
         if a.boxes.shape != b.boxes.shape or a.classes.shape != b.classes.shape:
             return float("inf"), float("inf")
-        scores = max(scores, _largest(_scores(a) - _scores(b)))
+        scores = max(scores, _largest(a.scores - b.scores))
         boxes = max(boxes, _largest(a.boxes - b.boxes))
     return scores, boxes
-
-
-def _scores(decoded: Decoded) -> Tensor:
-    return decoded.classes if decoded.objectness is None else decoded.classes * decoded.objectness[..., None]
 
 
 def _largest(difference: Tensor) -> float:

@@ -21,7 +21,9 @@ def simplify(graph: fx.GraphModule) -> None:
     for node in list(graph.graph.nodes):
         if node.op != "call_module":
             continue
-        plainer = REWRITES.get(type(modules[node.target]).__name__, _nothing)(node, modules[node.target], graph)
+        module = modules[node.target]
+        rewrite = REWRITES.get(type(module).__name__)
+        plainer = None if rewrite is None else rewrite(node, module, graph)
         if plainer is None:
             continue
         function, arguments = plainer
@@ -49,10 +51,6 @@ def activate_in_place(graph: fx.GraphModule) -> None:
 
 
 Plainer = tuple[Callable, tuple] | None
-
-
-def _nothing(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
-    return None
 
 
 def _silu(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:

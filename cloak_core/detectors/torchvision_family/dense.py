@@ -90,18 +90,11 @@ def _anchors_per_level(levels: list[Tensor], anchors: int) -> list[int] | None:
     return None if rest else [count * per_cell for count in cells]
 
 
-def _levels(scores: Float[Tensor, "B A"], counts: list[int] | None):
-    """Yield the scores of each level and the index of its first anchor."""
-    start = 0
-    for part in scores.split(counts or [scores.shape[1]], dim=1):
-        yield part, start
-        start += part.shape[1]
-
-
 def _best_per_level(scores: Float[Tensor, "B A"], counts: list[int] | None) -> Int[Tensor, "B n"]:
-    """Choose the anchors with the best scores of each feature level."""
-    return torch.cat([_best(part) + start for part, start in _levels(scores, counts)], dim=1)
-
-
-def _best(scores: Float[Tensor, "B n"]) -> Tensor:
-    return scores.detach().topk(min(CANDIDATES, scores.shape[1]), dim=1).indices
+    """Choose the anchors with the best scores of each feature level; counts: its anchors, None for one level."""
+    best = []
+    first = 0
+    for level in scores.detach().split(counts or [scores.shape[1]], dim=1):
+        best.append(level.topk(min(CANDIDATES, level.shape[1]), dim=1).indices + first)
+        first += level.shape[1]
+    return torch.cat(best, dim=1)

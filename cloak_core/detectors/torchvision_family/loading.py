@@ -103,7 +103,9 @@ def _read(name: str, path: Path, classes: int) -> tuple[nn.Module, int]:
     model = model if count == classes else _build(name, count)
     load_state(model, state, path)
     if name in EPS_ZERO and not any(key.endswith("num_batches_tracked") for key in state):
-        _set_eps(model, 0.0)
+        for norm in model.modules():
+            if isinstance(norm, nn.BatchNorm2d):
+                norm.eps = 0.0
     return model, count
 
 
@@ -137,12 +139,6 @@ def _class_count(model: nn.Module, state: dict[str, Tensor], classes: int, path:
         if key in own and key in state:
             return state[key].shape[0] * classes // own[key].shape[0]
     raise InputError(f"{path}: not a checkpoint of this model, it lacks the classification layer")
-
-
-def _set_eps(model: nn.Module, eps: float) -> None:
-    for module in model.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            module.eps = eps
 
 
 def _set_input_size(model: nn.Module, size: tuple[int, int]) -> None:

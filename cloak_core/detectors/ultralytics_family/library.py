@@ -19,7 +19,6 @@ import torch
 from cloak_core.files.caching import cache_folder
 
 PACKAGE = "ultralytics"
-LICENCE = "AGPL-3.0"
 SWITCHES = {"YOLO_OFFLINE": "1", "YOLO_AUTOINSTALL": "0", "YOLO_VERBOSE": "0", "ULTRALYTICS_SAFE_LOAD": "1"}
 """What the package reads from the environment: no look-ups, no installing, no words, no evaluating of strings."""
 _kept: list[tempfile.TemporaryDirectory] = []

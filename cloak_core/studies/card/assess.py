@@ -27,9 +27,10 @@ from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.card import protocol
 from cloak_core.studies.card.figures import keep_rows, part_figures, part_of_area, people_states, summary
 from cloak_core.studies.card.page import keep_pictures
-from cloak_core.studies.card.work import TRAINED, OnWork, Pace, Work, measure_pace
+from cloak_core.studies.card.work import TRAINED, OnWork, Work
 from cloak_core.studies.cloaked import cloth_colors
 from cloak_core.studies.data_split import people_record
+from cloak_core.studies.pace import Pace, measured_pace
 from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.studies.store import MEASUREMENT_VERSION, RunStore
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
@@ -112,9 +113,10 @@ class Assessment:
 
     def seconds_left(self, pace: Pace | None = None) -> tuple[float, Pace]:
         """Estimate the time of what is not done yet, and the detector's pace. pace: where it is known."""
-        pace = pace or measure_pace(self.detector, self.store.options.size)
+        # Cards train on one thread.
+        pace = pace or measured_pace(self.detector, self.store.options.size, gradient_threads=1)
         costs = self.costs(self._dressing(pace) if self.people is not None else 1.0)
-        return pace.seconds(Work(costs, self._spent, self._asked()).left), pace
+        return Work(costs, self._spent, self._asked()).seconds_left(pace), pace
 
     @property
     def _spent(self) -> Path:

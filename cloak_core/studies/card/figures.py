@@ -15,7 +15,7 @@ from cloak_core.core.evaluation.statistics import side_record, success_record
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import parse_json
 from cloak_core.studies import statistics_card
-from cloak_core.studies.card.certainty import MEASURED, NOT_MEASURED, UNTRAINED, state, state_of_attack, whole
+from cloak_core.studies.card.certainty import MEASURED, NOT_MEASURED, state, state_of_attack, whole, worn_rows
 from cloak_core.studies.card.protocol import AGAINST, AREAS
 
 ROWS = "rows"
@@ -129,14 +129,9 @@ def untested(card: dict) -> list[str]:
         said.append(
             f"{card['photographs']['people']} people in photographs, of {card['counts']['people']} at this size."
         )
-    if not card.get("patterns") and not (set(_worn(card)) - {AGAINST}):
+    if not card.get("patterns") and not any("@" in name for name in worn_rows(card)):
         said.append("Published patterns: none were given (--patterns).")
     return said + [f"The pattern {name}: this size has {card['counts']['patterns']}." for name in card["left_patterns"]]
-
-
-def _worn(card: dict) -> list[str]:
-    rows = (card.get("photographs") or {}).get("rows", {})
-    return [name for name in rows if name not in UNTRAINED and "@" in name]
 
 
 # --- again

@@ -4,56 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import torch
-
-from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.visibility.threads import one_thread
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
+from cloak_core.studies.pace import Pace
 
 OnWork = Callable[[str, float, float], None]
 """Called with what is being done, how much of all is done, and how much there is in all."""
 TRAINED = 3
 """Cost of an image that is trained on, in images that are only looked at: forward, and backward twice that."""
-CLOCKED = 4
-"""Images on which a detector is clocked."""
-
-
-@dataclass(frozen=True)
-class Pace:
-    """Seconds that an image takes."""
-
-    forward: float
-    gradient: float
-    """Forward and backward on one thread, as cards train; 0 where there is no gradient."""
-
-    def seconds(self, costs: Mapping[str, tuple[float, float]]) -> float:
-        """Estimate the time of parts, by their costs (see `Work`)."""
-        return float(
-            sum(trained / TRAINED * self.gradient + looked * self.forward for trained, looked in costs.values())
-        )
-
-
-def measure_pace(detector: Detector, size: int) -> Pace:
-    """Clock a detector on a few grey images, the second time."""
-    seconds = [0.0, 0.0]
-    for _ in range(2):
-        images = torch.full((CLOCKED, 3, size, size), 0.5, device=detector.device)
-        started = time.monotonic()
-        with torch.no_grad():
-            detector(images).scores.cpu()
-        seconds[0] = (time.monotonic() - started) / CLOCKED
-        if detector.differentiable:
-            with one_thread():
-                started = time.monotonic()
-                detector(images.requires_grad_()).scores.sum().backward()
-                images.grad.cpu()
-                seconds[1] = (time.monotonic() - started) / CLOCKED
-    return Pace(*seconds)
 
 
 class Work:
@@ -90,10 +51,10 @@ class Work:
         """Cost of all parts."""
         return float(sum(map(sum, self.costs.values())))
 
-    @property
-    def left(self) -> dict[str, tuple[float, float]]:
-        """The costs of the parts that no call has finished."""
-        return {name: cost for name, cost in self.costs.items() if name not in self._record["done"]}
+    def seconds_left(self, pace: Pace) -> float:
+        """Estimate the time of the parts that no call has finished."""
+        left = [cost for name, cost in self.costs.items() if name not in self._record["done"]]
+        return float(sum(trained / TRAINED * pace.gradient + looked * pace.forward for trained, looked in left))
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[None]:

@@ -17,10 +17,10 @@ from cloak_core.detectors.darknet.weights import write_darknet
 from cloak_core.detectors.pixels import fit
 from cloak_core.files.writing import write_text
 from cloak_core.studies.hardening.distillation import distance
-from cloak_core.studies.hardening.student import AnsweringStudent
+from cloak_core.studies.hardening.student import Student
 
 
-class DarknetStudent(AnsweringStudent):
+class DarknetStudent(Student):
     """The built-in detector or any .cfg and .weights."""
 
     files = (".cfg", ".weights")
@@ -37,10 +37,6 @@ class DarknetStudent(AnsweringStudent):
         self.cfg = read_cfg_text(cfg)
         self.class_names = () if own else names_beside(cfg, teacher.network.heads[0].classes) or ()
         """Where a file beside the cfg says them; none where their number does."""
-
-    @property
-    def network(self) -> nn.Module:
-        return self.detector.network
 
     def answer(self, detector: DarknetDetector, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
         inputs, _ = fit(images, detector.network.input_size, detector.letterbox)

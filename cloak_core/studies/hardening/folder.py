@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cloak_core import __version__
@@ -29,8 +29,18 @@ FORMAT, EARLIER = "cloak hardening 2", "cloak hardening 1"
 """EARLIER drew other cloaks, with which its checkpoints do not go on."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""
-LATER = {"--perturbation": 0.0, "--replays": 2, "--cloths": 0.0}
-"""Settings that the first hardenings of this format did not record, and what they did."""
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a detector is hardened on."""
+
+    bodies: Bodies
+    backgrounds: Backgrounds
+    photographs: Backgrounds | None = None
+    """Pictures of which the detector is to report what it reported; no labels."""
+    people: People | None = None
+    """Those who can be dressed; in cloaks they are to be reported as in their own clothes."""
 
 
 class HardenFolder:
@@ -44,22 +54,16 @@ class HardenFolder:
         self.cancel = path / "cancel"
 
 
-def harden_config(
-    settings: HardenSettings,
-    student: Student,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
-    photographs: Backgrounds | None,
-    people: People | None = None,
-) -> dict:
+def harden_config(settings: HardenSettings, student: Student, material: Material) -> dict:
     """config.json: what decides the result, and where it ran."""
+    bodies, photographs, people = material.bodies, material.photographs, material.people
     return {
         "format": FORMAT,
         "cloak": __version__,
         "settings": asdict(settings),
         "detector": {"spec": student.spec} | detector_record(student.teacher),
         "scene": {"name": bodies.name, "poses": list(bodies.names), "identity": bodies.identity},
-        "backgrounds": backgrounds.identities(),
+        "backgrounds": material.backgrounds.identities(),
         "photographs": None if photographs is None else photographs.identities(),
         "people": None if people is None else people_identity(people),
         "environment": environment(),
@@ -82,11 +86,7 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
             (temporary / "checkpoint").mkdir()
     if not folder.config.exists():
         raise InputError(f"{path}: not a folder of cloak harden (no config.json in it)")
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(lock(path / ".lock"))
-        except BlockingIOError:
-            raise InputError(f"{path}: another process is hardening in this folder") from None
+    with lock(path / ".lock", busy=f"{path}: another process is hardening in this folder"):
         _check(read_json(folder.config), config, path)
         if folder.checkpoint.is_symlink() or not folder.checkpoint.is_dir():
             raise InputError(f"{folder.checkpoint}: not a folder of its own")
@@ -101,8 +101,6 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
         raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin in another --out")
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")
-    if recorded.get("cloaks"):
-        raise InputError(f"{path}: was begun with --cloak, which this version does not have; begin in another --out")
     before, now = (
         {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
         | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
@@ -110,6 +108,6 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
         for c in (recorded, config)
     )
     for name, value in now.items():
-        if before.get(name, LATER.get(name)) != value:
+        if before.get(name) != value:
             words = f" = {before.get(name)}, not {value}" if name.startswith("--") else ""
             raise InputError(f"{path}: was begun with other {name}{words}; resume with the same")

@@ -21,12 +21,9 @@ from cloak_core.core.checkpoints import Checkpoint, load_checkpoint, save_checkp
 from cloak_core.core.events import EventLog, OnEvent, rewind_events
 from cloak_core.core.loop import TrainingError
 from cloak_core.core.stopping import StopRequest, stop_request
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.sources.photographs.people import People
-from cloak_core.studies.hardening.folder import HardenFolder, harden_config, open_folder
+from cloak_core.studies.hardening.folder import HardenFolder, Material, harden_config, open_folder
 from cloak_core.studies.hardening.pictures import Decoys, Pictures
 from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -60,27 +57,23 @@ class HardenResult:
 def harden(
     settings: HardenSettings,
     student: Student,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
+    material: Material,
     out: Path,
     *,
-    photographs: Backgrounds | None = None,
-    people: People | None = None,
     resume: bool = False,
     on_event: OnEvent | None = None,
 ) -> HardenResult:
     """Harden the student into the folder `out`: a file of its family, hardened.*, and its licence, beside config.json,
     events.jsonl and checkpoint/ as a training's run has them.
 
-    photographs: pictures of which the detector is to report what it reported; no labels. people: those who can be
-    dressed; in cloaks they are to be reported as in their own clothes. SIGINT, SIGTERM, a file `cancel` in `out` or the
-    time budget end it after the current step; `resume` goes on from there.
+    SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step; `resume` goes on from
+    there.
     InputError: `out` exists without `resume`, or was begun with something else.
     """
-    fits = [] if people is None else fit_people(people)
-    pool = Pool(settings, bodies, backgrounds, student.detector, fits)
-    pictures = Pictures(pool, photographs, student.teacher)
-    config = harden_config(settings, student, bodies, backgrounds, photographs, people)
+    fits = [] if material.people is None else fit_people(material.people)
+    pool = Pool(settings, material.bodies, material.backgrounds, student.detector, fits)
+    pictures = Pictures(pool, material.photographs, student.teacher)
+    config = harden_config(settings, student, material)
     with (
         open_folder(Path(out), config, resume) as folder,
         stop_request(folder.cancel, settings.max_seconds) as stop,

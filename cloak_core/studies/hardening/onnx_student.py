@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from cloak_core.detectors.classes import COCO, VOC, names_beside
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
@@ -14,12 +14,11 @@ from cloak_core.detectors.pixels import fit
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_bytes
 from cloak_core.files.writing import write_bytes, write_text
-from cloak_core.studies.hardening.answers import Answer
-from cloak_core.studies.hardening.scores import answer_of, score_distance
-from cloak_core.studies.hardening.student import AnsweringStudent
+from cloak_core.studies.hardening.answers import Answer, answer_of, score_distance
+from cloak_core.studies.hardening.student import Student
 
 
-class OnnxStudent(AnsweringStudent):
+class OnnxStudent(Student):
     """A converted graph whose boxes stand in an order that its weights do not change.
 
     Normalisations that the file has folded into its convolutions stay folded and learn with them.
@@ -29,19 +28,12 @@ class OnnxStudent(AnsweringStudent):
     detector: OnnxDetector
     teacher: OnnxDetector
 
-    @property
-    def network(self) -> nn.Module:
-        return self.detector.network
-
     def answer(self, detector: OnnxDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
         """Read every box of a detector's outputs: scores of all classes, as its runtimes report them."""
         inputs, _ = fit(images, detector.input_size, detector.letterbox, detector.fill)
         with self.autocast(images):
             decoded = detector.answer(detector.pixels.apply(inputs))
-        scores = decoded.classes
-        if decoded.objectness is not None:
-            scores = scores * decoded.objectness[..., None]
-        return answer_of(scores, decoded.boxes)
+        return answer_of(decoded.scores, decoded.boxes)
 
     def compare(
         self, said: Answer, wanted: Answer, surer: Bool[Tensor, " B"] | None, sure: float

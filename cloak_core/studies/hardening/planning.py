@@ -11,11 +11,9 @@ from pathlib import Path
 
 from cloak_core.core.events import read_events
 from cloak_core.core.objective import gradient_step
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
-from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.people import People
+from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import harden
 from cloak_core.studies.hardening.pool import FINISH, Pool
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -57,15 +55,7 @@ def plan(settings: HardenSettings, pace: Pace, hours: float) -> HardenSettings:
     return replace(settings, steps=steps, finished=finished)
 
 
-def measure_pace(
-    settings: HardenSettings,
-    student: Student,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
-    *,
-    photographs: Backgrounds | None = None,
-    people: People | None = None,
-) -> Pace:
+def measure_pace(settings: HardenSettings, student: Student, material: Material) -> Pace:
     """Try a hardening in a folder of its own, and leave the student as it was. Arguments as for `harden`.
 
     Views are rendered anew for each cloak at first, so that the updates tried are rather slow ones.
@@ -75,7 +65,7 @@ def measure_pace(
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tried"
         try:
-            tried = harden(few, student, bodies, backgrounds, out, photographs=photographs, people=people)
+            tried = harden(few, student, material, out)
         finally:
             student.network.load_state_dict(before)
         if tried.stopped:
@@ -83,7 +73,7 @@ def measure_pace(
         ends = [event["time"] for event in read_events(out / "events.jsonl") if event["type"] == "step"]
     updates = [later - earlier for earlier, later in itertools.pairwise(ends)][-TRIED:]
     student.detector.requires_grad_(False)
-    cloak = Pool(few, bodies, backgrounds, student.detector).cloak(1)
+    cloak = Pool(few, material.bodies, material.backgrounds, student.detector).cloak(1)
     steps = []
     for k in range(1 + TRIED):
         started = time.perf_counter()

@@ -34,9 +34,8 @@ from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import faces_on_rig
 from cloak_core.sources.photographs.source import PeopleSource
-from cloak_core.studies.hardening.cloths import draw_pattern, first_cloth
 from cloak_core.studies.hardening.decoys import FlatCloth, Texture
-from cloak_core.studies.hardening.logos import draw_colors, draw_logo
+from cloak_core.studies.hardening.logos import draw_colors, draw_logo, draw_pattern, first_cloth
 from cloak_core.studies.hardening.settings import HardenSettings
 
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)

@@ -11,9 +11,8 @@ from torch import Tensor, nn
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import replace_file, write_text
-from cloak_core.studies.hardening.answers import Answer
-from cloak_core.studies.hardening.scores import answer_of, score_distance
-from cloak_core.studies.hardening.student import NAME, AnsweringStudent
+from cloak_core.studies.hardening.answers import Answer, answer_of, score_distance
+from cloak_core.studies.hardening.student import NAME, Student
 
 LOADER = '''"""{function}() of {file} with the hardened weights beside this file."""
 
@@ -37,7 +36,7 @@ def {function}() -> torch.nn.Module:
 '''
 
 
-class PythonStudent(AnsweringStudent):
+class PythonStudent(Student):
     """A torch module that answers the same boxes in the same order whatever its weights are.
 
     InputError: another runtime runs it, or no gradient reaches its parameters.

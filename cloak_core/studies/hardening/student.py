@@ -25,6 +25,9 @@ class Student(ABC):
     Batch norm stays unfolded, so that what is written fits the family's own files, and keeps its running statistics
     (the network is always in eval mode): they are those of the photographs that it was trained on, and cloaks must not
     move them. Its scale and shift learn. So the network that is attacked while it learns is the one that will be used.
+
+    Where network and teacher say the same things in the same order, a family has to say how they answer and how two
+    answers compare (`answer`, `compare`); any other has `wanted` and `distance` of its own.
     """
 
     files: ClassVar[tuple[str, ...]]
@@ -37,15 +40,24 @@ class Student(ABC):
         self.request, self.options = request, f"@{options}" if options else ""
 
     @property
-    @abstractmethod
     def network(self) -> nn.Module:
         """What learns and is written."""
+        return self.detector.network
 
-    @abstractmethod
+    def answer(self, detector: Any, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
+        """What the student's or the teacher's network says of images: an answer, or a raw map for each head."""
+        raise NotImplementedError
+
+    def compare(self, said: Any, wanted: Any, surer: Bool[Tensor, " B"] | None, sure: float) -> Float[Tensor, " B"]:
+        """How far an answer is from that wanted; see `distance`."""
+        raise NotImplementedError
+
+    @torch.no_grad()
     def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Any:
         """What the teacher says of images, for `distance`: its k-th image is to be answered as images[rows[k]] is."""
+        said = self.answer(self.teacher, images)
+        return said.of(rows) if isinstance(said, Answer) else [raw[rows] for raw in said]
 
-    @abstractmethod
     def distance(
         self,
         images: Float[Tensor, "B 3 H W"],
@@ -57,6 +69,7 @@ class Student(ABC):
 
         surer: images in which what the teacher reports as a person is to get a score of at least about `sure`.
         """
+        return self.compare(self.answer(self.detector, images), wanted, surer, sure)
 
     @abstractmethod
     def save(self, stem: Path, seen: int) -> str:
@@ -88,29 +101,3 @@ class Student(ABC):
             f"{theirs} licence is that of what {they} made from: {FAMILIES[self.request.family].licence}.\n"
             f"Load {them} as {spec}\n"
         )
-
-
-class AnsweringStudent(Student):
-    """A student whose network and teacher say the same things in the same order, so that these can be compared."""
-
-    @abstractmethod
-    def answer(self, detector: Any, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
-        """What the student's or the teacher's network says of images: an answer, or a raw map for each head."""
-
-    @abstractmethod
-    def compare(self, said: Any, wanted: Any, surer: Bool[Tensor, " B"] | None, sure: float) -> Float[Tensor, " B"]:
-        """How far an answer is from that wanted; see `distance`."""
-
-    @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Answer | list[Tensor]:
-        said = self.answer(self.teacher, images)
-        return said.of(rows) if isinstance(said, Answer) else [raw[rows] for raw in said]
-
-    def distance(
-        self,
-        images: Float[Tensor, "B 3 H W"],
-        wanted: Any,
-        surer: Bool[Tensor, " B"] | None = None,
-        sure: float = 0.0,
-    ) -> Float[Tensor, " B"]:
-        return self.compare(self.answer(self.detector, images), wanted, surer, sure)

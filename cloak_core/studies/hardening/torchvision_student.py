@@ -23,7 +23,7 @@ from cloak_core.detectors.torchvision_family.dense import DenseDetector
 from cloak_core.detectors.torchvision_family.loading import write_torchvision
 from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector
 from cloak_core.studies.hardening.answers import Answer, Reading, answer_distance
-from cloak_core.studies.hardening.student import AnsweringStudent, Student
+from cloak_core.studies.hardening.student import Student
 
 PROPOSALS = 128
 """Of an image: the teacher's best, of which the second stage of both is asked."""
@@ -48,7 +48,7 @@ class TorchvisionStudent(Student):
         return f"torchvision:{name}:{stem}.pth{self.options}"
 
 
-class DenseStudent(TorchvisionStudent, AnsweringStudent):
+class DenseStudent(TorchvisionStudent):
     """RetinaNet, FCOS, SSD and SSDlite."""
 
     detector: DenseDetector

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from cloak_core.detectors.darknet.heads import Yolo
 from cloak_core.detectors.pixels import YOLO_GREY, fit
@@ -16,10 +16,10 @@ from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead,
 from cloak_core.files.errors import InputError
 from cloak_core.studies.hardening.answers import Answer, Reading, answer_distance
 from cloak_core.studies.hardening.distillation import distance
-from cloak_core.studies.hardening.student import AnsweringStudent
+from cloak_core.studies.hardening.student import Student
 
 
-class UltralyticsStudent(AnsweringStudent):
+class UltralyticsStudent(Student):
     """A network with a box at every cell. InputError: RT-DETR, whose queries stand in no order."""
 
     files = (".pt",)
@@ -30,10 +30,6 @@ class UltralyticsStudent(AnsweringStudent):
         super().__init__(detector, teacher, spec)
         if not isinstance(detector.network.model[-1], DenseHead | AnchorHead):
             raise InputError(f"harden {spec}: cannot train RT-DETR, only networks with a box at every cell")
-
-    @property
-    def network(self) -> nn.Module:
-        return self.detector.network
 
     def answer(self, detector: UltralyticsDetector, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
         inputs, _ = fit(images, detector.input_size, detector.letterbox, YOLO_GREY)

@@ -28,7 +28,6 @@ def heatmap(
     *,
     backgrounds_per_view: int = 4,
     size: int = 416,
-    device: str | torch.device = "cpu",
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Float[np.ndarray, " F"]:
     """Average the size of the gradient of an image's person score by each face's colour.
@@ -39,7 +38,7 @@ def heatmap(
     """
     if not detector.differentiable:
         raise InputError(f"--detector {detector.spec}: gives no gradients, so no heat map")
-    device = torch.device(device)
+    device = detector.device
     view_cache = ViewCache(bodies, RenderSettings(device=device))
     faces = np.arange(bodies.face_count)
     total = torch.zeros(bodies.face_count, device=device)

@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -17,57 +17,49 @@ from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
 from cloak_core.files.likeness import pose_shape
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import NOBODY, Fits, people_identity
+from cloak_core.sources.photographs.fits import Fits, people_identity
 from cloak_core.sources.photographs.fitting import Fit
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingData:
-    """Bodies, backgrounds, and people in photographs of which images are made."""
+class Training:
+    """Everything that a training is made of."""
 
+    settings: TrainSettings
     bodies: Bodies
+    logo: Logo
+    detectors: Sequence[Detector]
     backgrounds: Backgrounds
-    people: Fits = NOBODY
-
-
-@dataclass(frozen=True, eq=False)
-class RunInputs:
-    """What beside the material decides a run."""
-
-    processes: int = 1
-    files: Mapping[str, object] | None = None
-    """Content of the files that techniques read, by the setting's name."""
-    query_prior: Sequence[Detector] = ()
     people: Sequence[Fit] = ()
+    """In photographs, fitted."""
+    query_prior: Sequence[Detector] = ()
+    """Detectors whose gradients lead a search by questions."""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """Names under which the user gave all this, for the record."""
 
 
-def run_config(
-    settings: TrainSettings,
-    bodies: Bodies,
-    logo: Logo,
-    detectors: Sequence[Detector],
-    backgrounds: Backgrounds,
-    inputs: Mapping[str, str],
-    more: RunInputs | None = None,
-) -> dict:
-    """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
-    more = more or RunInputs()
+def run_config(training: Training, processes: int = 1, files: Mapping[str, object] | None = None) -> dict:
+    """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran.
+
+    files: content of the files that techniques read, by the setting's name.
+    """
+    settings, logo = training.settings, training.logo
     return {
         "format": "cloak run",
         "version": FORMAT_VERSION,
         "cloak": __version__,
         "code": code_hash(*TRAINING),
-        "topology": bodies.topology,
+        "topology": training.bodies.topology,
         "settings": settings_record(settings),
-        "scene": _scene(bodies),
+        "scene": _scene(training.bodies),
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
-        "detectors": [_detector(detector) for detector in detectors],
-        "backgrounds": _backgrounds(backgrounds),
-        "people": _people(more.people),
-        **(NO_TECHNIQUES.content() if more.files is None else more.files),
-        "query_prior": [_detector(detector) for detector in more.query_prior] or None,
-        "inputs": dict(inputs),
-        "environment": environment() | {"processes": more.processes, "device": device_kind(settings.compute.device)},
+        "detectors": [_detector(detector) for detector in training.detectors],
+        "backgrounds": _backgrounds(training.backgrounds),
+        "people": _people(training.people),
+        **(NO_TECHNIQUES.content() if files is None else files),
+        "query_prior": [_detector(detector) for detector in training.query_prior] or None,
+        "inputs": dict(training.inputs),
+        "environment": environment() | {"processes": processes, "device": device_kind(settings.compute.device)},
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
@@ -27,7 +26,7 @@ from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.trainings.first_colors import first_colors, on_squares
-from cloak_core.studies.trainings.run_record import RunInputs, TrainingData, run_config
+from cloak_core.studies.trainings.run_record import Training, run_config
 
 
 def train(
@@ -72,58 +71,46 @@ def train(
             )
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
-    data = TrainingData(bodies, backgrounds, Fits.of(people))
-    asked = Asked(settings, data, logo, detectors, query_prior, dict(inputs or {}))
+    people = Fits.of(people)
+    training = Training(settings, bodies, logo, detectors, backgrounds, people, query_prior, inputs or {})
     try:
         with join_world(local_device(settings.compute.device), alone) as world:
-            return run_training(make_job(asked, world), Path(out), resume, on_event, world)
+            return run_training(make_job(training, world), Path(out), resume, on_event, world)
     except LostProcess as lost:
         raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
 
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """What was asked for."""
-
-    settings: TrainSettings
-    data: TrainingData
-    logo: Logo
-    detectors: Sequence[Detector]
-    query_prior: Sequence[Detector] = ()
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    """As the user gave them."""
-
-
-def make_job(asked: Asked, world: World) -> Job:
+def make_job(training: Training, world: World) -> Job:
     """Make the training that was asked for. InputError: something does not go together, or cannot be read."""
-    settings, logo, data = asked.settings, asked.logo, asked.data
+    settings, bodies, logo = training.settings, training.bodies, training.logo
     device = local_device(settings.compute.device)
-    detectors = [detector.to(device) for detector in asked.detectors]
-    surrogates = [detector.to(device) for detector in asked.query_prior]
-    worn = Worn.of(settings.pattern, data.bodies, logo)
+    detectors = [detector.to(device) for detector in training.detectors]
+    surrogates = [detector.to(device) for detector in training.query_prior]
+    worn = Worn.of(settings.pattern, bodies, logo)
     techniques = Techniques.built(Setup(settings, worn, detectors, device))
     begun = [technique.first() for technique in techniques.at("first")]
     if begun:
         first = worn.colors(begun[0])
     else:
-        start = first_colors(settings.optimization, data.bodies, logo, settings.run.seed).numpy()
+        start = first_colors(settings.optimization, bodies, logo, settings.run.seed).numpy()
         first = on_squares(worn.cloth, settings.optimization, start) if worn.cloth is not None else start
-    more = RunInputs(world.size, techniques.content(), asked.query_prior, data.people)
-    config = run_config(settings, data.bodies, logo, detectors, data.backgrounds, asked.inputs, more)
-    material = make_material(settings, data, worn, device)
-    if not data.people or settings.photographs.people_share < 1:
+    config = run_config(training, world.size, techniques.content())
+    material = make_material(training, worn, device)
+    if not training.people or settings.photographs.people_share < 1:
         require_visible(material.source)
     return Job(settings, worn, first, techniques, material, detectors, surrogates, config)
 
 
-def make_material(settings: TrainSettings, data: TrainingData, worn: Worn, device: torch.device) -> Material:
+def make_material(training: Training, worn: Worn, device: torch.device) -> Material:
     """Make the source of bodies, and of people in photographs where there are any."""
-    bodies = BodySource(data.bodies, worn, settings.views, device)
-    if not data.people:
-        return Material(bodies, data.backgrounds)
-    people = PeopleSource(data.people, worn, settings.photographs, settings.views.size, settings.run.seed)
+    settings = training.settings
+    bodies = BodySource(training.bodies, worn, settings.views, device)
+    fits = Fits.of(training.people)
+    if not fits:
+        return Material(bodies, training.backgrounds)
+    people = PeopleSource(fits, worn, settings.photographs, settings.views.size, settings.run.seed)
     mixed = Mixture(bodies, people, settings.photographs.people_share, settings.run.seed)
-    return Material(mixed, data.backgrounds)
+    return Material(mixed, training.backgrounds)
 
 
 def require_visible(source: BodySource | Mixture) -> None:
@@ -132,9 +119,8 @@ def require_visible(source: BodySource | Mixture) -> None:
     bodies.require_visible()
 
 
-def training_config(settings: TrainSettings, material: TrainingData, logo: Logo, detectors: Sequence[Detector]) -> dict:
+def training_config(training: Training) -> dict:
     """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
-    worn = Worn.of(settings.pattern, material.bodies, logo)
-    techniques = Techniques.built(Setup(settings, worn, detectors, torch.device("cpu")))
-    more = RunInputs(files=techniques.content(), people=material.people)
-    return run_config(settings, material.bodies, logo, detectors, material.backgrounds, {}, more)
+    worn = Worn.of(training.settings.pattern, training.bodies, training.logo)
+    techniques = Techniques.built(Setup(training.settings, worn, training.detectors, torch.device("cpu")))
+    return run_config(training, files=techniques.content())

@@ -16,7 +16,7 @@ from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import false_alarms, finite, side_record, success_record
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
-from cloak_core.files.writing import is_taken, new_folder, write_json, write_text
+from cloak_core.files.writing import new_folder, require_new, write_json, write_text
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.fitting import Fit
@@ -54,8 +54,7 @@ def wear_and_judge(
         raise InputError("--detector: none given")
     if out is None:
         return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | dict(more or {})
-    if is_taken(out):
-        raise InputError(f"{out}: exists already")
+    require_new(out)
     with new_folder(out) as folder:
         result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)
         result |= dict(more or {})

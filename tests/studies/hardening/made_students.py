@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import HardenResult, harden
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
@@ -22,4 +23,4 @@ FEW = {
 
 def hardened(student: Student, out: Path, resume: bool = False, **changes: object) -> HardenResult:
     settings = HardenSettings(**(FEW | changes))
-    return harden(settings, student, box_bodies(), noise_backgrounds(), out, resume=resume)
+    return harden(settings, student, Material(box_bodies(), noise_backgrounds()), out, resume=resume)

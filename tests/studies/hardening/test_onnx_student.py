@@ -14,6 +14,7 @@ from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.stopping import StopRequest
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
+from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import HardenResult, harden
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
@@ -264,7 +265,7 @@ def learns(student: Student) -> None:
 
 def hardened(spec: str, out: Path, resume: bool = False, **changes: object) -> HardenResult:
     settings = HardenSettings(**(FEW | changes))
-    return harden(settings, open_student(spec), box_bodies(), noise_backgrounds(), out, resume=resume)
+    return harden(settings, open_student(spec), Material(box_bodies(), noise_backgrounds()), out, resume=resume)
 
 
 @pytest.mark.parametrize(("build", "changes"), [(copied_bias, {}), (plain, {"perturbation": 0.02})])

@@ -15,6 +15,7 @@ from cloak_core.commands.harden import Harden
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.places import check_places, people_among
 from cloak_core.studies.hardening.planning import Pace, measure_pace, plan, planned_words
 from cloak_core.studies.hardening.pool import FINISH
@@ -47,7 +48,7 @@ def test_a_plan_fills_its_hours_and_keeps_first_cloaks_to_a_fifth() -> None:
 def test_the_pace_is_measured_and_the_student_is_as_before(tmp_path: Path) -> None:
     student = open_student(write_tiny(tmp_path))
     before = {name: value.clone() for name, value in student.network.state_dict().items()}
-    pace = measure_pace(HardenSettings(**FEW), student, box_bodies(), noise_backgrounds())
+    pace = measure_pace(HardenSettings(**FEW), student, Material(box_bodies(), noise_backgrounds()))
     assert pace.update > pace.cloak_step > 0
     after = student.network.state_dict()
     assert all(torch.equal(value, after[name]) for name, value in before.items())

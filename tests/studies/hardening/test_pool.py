@@ -19,6 +19,7 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.hardening.decoys import TEXTURE
+from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import Hardening, harden
 from cloak_core.studies.hardening.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
@@ -71,11 +72,11 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
     worn = (pair.cloaked - pair.clean).abs().amax(1) > 0.05
     assert 0.001 < worn.float().mean() < 0.5, "only the person changes"
     with pytest.raises(InputError, match="topology"):
-        harden(settings, student, box_bodies(), noise_backgrounds(), tmp_path / "box", people=people)
-    few, given = replace(settings, steps=2), (student, bodies, noise_backgrounds(), tmp_path / "out")
-    assert harden(few, *given, people=people).step == 2
+        harden(settings, student, Material(box_bodies(), noise_backgrounds(), people=people), tmp_path / "box")
+    few, material = replace(settings, steps=2), Material(bodies, noise_backgrounds(), people=people)
+    assert harden(few, student, material, tmp_path / "out").step == 2
     with pytest.raises(InputError, match="begun with other people"):
-        harden(few, *given, resume=True)
+        harden(few, student, replace(material, people=None), tmp_path / "out", resume=True)
 
 
 def test_cloaks_die_one_after_the_other(student: Student) -> None:

@@ -14,6 +14,7 @@ from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.stopping import StopRequest
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
+from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import HardenResult, harden
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import NAME, Student
@@ -141,7 +142,7 @@ def test_another_picture_is_far_and_a_reported_person_is_to_be_surer(spec: str) 
 
 def hardened(spec: str, out: Path, resume: bool = False) -> HardenResult:
     settings = HardenSettings(**FEW)
-    return harden(settings, open_student(spec), box_bodies(), noise_backgrounds(), out, resume=resume)
+    return harden(settings, open_student(spec), Material(box_bodies(), noise_backgrounds()), out, resume=resume)
 
 
 @pytest.mark.long
