@@ -109,9 +109,9 @@ def _launches(material: Material) -> dict:
     return launches
 
 
-def _kernels(material: Material) -> dict:
-    """The same of views with the two Triton kernels: faster and no bit wrong, they may become the default."""
-    with triton_kernels():
+def _plain(material: Material) -> dict:
+    """The same of views by torch's operations alone, without Triton kernels."""
+    with triton_kernels(wanted=False):
         wrong, _ = compare_with_cpu()
         return {"against_cpu": wrong, "views": _views(material), "launches": _launches(material)}
 
@@ -185,7 +185,7 @@ PARTS: dict[str, Part] = {
     "bits": _bits,
     "views": _views,
     "launches": _launches,
-    "kernels": _kernels,
+    "plain": _plain,
     "peers": _peers,
     "detectors": _detectors,
     "step": _step,

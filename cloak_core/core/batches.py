@@ -122,10 +122,12 @@ class Batcher:
         )
 
     def _workers(self) -> int:
-        """Choose how many threads make views. A GPU leaves them the cores; of people, the CPU makes all views."""
-        if not self.source.is_fresh:  # threads that only look views up would wait for each other
+        """Choose how many threads make views. Threads that only look views up, or start a GPU's work, would wait for
+        each other; a GPU that trains leaves the cores to those who make views on the CPU."""
+        works_on = self.source.works_on
+        if not self.source.is_fresh or works_on.type != "cpu":
             return 1
-        return workers(self.device) if self.device.type == "cpu" else min(_cores(), MOST_WORKERS)
+        return workers(works_on) if self.device.type == "cpu" else min(_cores(), MOST_WORKERS)
 
     def _company(self, views: list[BakedView], distorted: Distortions) -> Company | None:
         anywhere = torch.tensor([view.others is None for view in views])

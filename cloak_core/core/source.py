@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
@@ -48,6 +49,9 @@ class Plan(Protocol):
 @runtime_checkable
 class Source(Plan, Protocol):
     """Shows what is worn. What an image shows is a function of its columns (`draw`) and its seed alone."""
+
+    works_on: torch.device
+    """What makes its views."""
 
     def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """Make one image's view, of its columns."""
@@ -92,6 +96,12 @@ class Mixture:
     def is_fresh(self) -> bool:
         """Whether both are."""
         return self.first.is_fresh
+
+    @property
+    def works_on(self) -> torch.device:
+        """The CPU, where either needs it."""
+        devices = (self.first.works_on, self.second.works_on)
+        return next((device for device in devices if device.type == "cpu"), devices[0])
 
     def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
         """See `Source`. The second draws from streams of its own, so that the first draws as it does alone."""

@@ -59,6 +59,8 @@ def run(out, fits, bodies="sample[0:1]", **changes):
 class DrawsAlone(BodyPlan):
     """A source of which nobody asks a view."""
 
+    works_on = torch.device("cpu")
+
     def view(self, shown: object, seed: int) -> None:
         raise NotImplementedError
 

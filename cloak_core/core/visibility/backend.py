@@ -1,7 +1,7 @@
 """The stages of rendering as one typed protocol, and the choice of its implementation by device.
 
 Each stage has a numba and a torch implementation, in files of equal names: cpu/ for the CPU, torch/ for any device.
-Two have a Triton kernel, too, in fused/: CLOAK_TRITON=1 switches them on, until they are measured on a device.
+Two have a Triton kernel, too, in fused/, for CUDA; CLOAK_TRITON=0 switches them off.
 Both give the same face ids, bit for bit, and the same weights within 1e-6; tests compare them (`compiled.torch_alone`).
 """
 

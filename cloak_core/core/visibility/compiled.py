@@ -86,7 +86,7 @@ if numba is not None:
 
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 _switched_off = False
-_kernels = os.environ.get("CLOAK_TRITON") == "1"
+_kernels = os.environ.get("CLOAK_TRITON")
 
 
 def use_loops(device: torch.device) -> bool:
@@ -95,23 +95,24 @@ def use_loops(device: torch.device) -> bool:
 
 
 def use_kernels(device: torch.device) -> bool:
-    """Tell whether Triton kernels do work that loops do not: where CLOAK_TRITON=1 asks for them.
+    """Tell whether Triton kernels do work that loops do not: on CUDA where there is Triton, which comes with torch.
 
-    Raises `InputError` where there is no Triton.
+    CLOAK_TRITON=0 switches them off; 1 asks for them anywhere, and raises `InputError` where there is no Triton.
     """
-    if not _kernels or use_loops(device):
+    if _kernels == "0" or use_loops(device) or (_kernels is None and device.type != "cuda"):
         return False
-    if importlib.util.find_spec("triton") is None:
+    there = importlib.util.find_spec("triton") is not None
+    if not there and _kernels is not None:
         raise InputError("CLOAK_TRITON=1: no package 'triton' is installed")
-    return True
+    return there
 
 
 @contextlib.contextmanager
-def triton_kernels() -> Iterator[None]:
-    """Within, in all threads, Triton kernels do what loops do not."""
+def triton_kernels(wanted: bool = True) -> Iterator[None]:
+    """Within, in all threads, Triton kernels do what loops do not; or, not `wanted`, torch's operations do."""
     global _kernels
     before = _kernels
-    _kernels = True
+    _kernels = "1" if wanted else "0"
     try:
         yield
     finally:

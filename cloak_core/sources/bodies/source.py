@@ -101,6 +101,7 @@ class BodySource:
             view_settings = RenderSettings.of(settings, device=device, **(fresh if self.is_fresh else {}))
             view_cache = ViewCache(bodies, view_settings, on_cloth=worn.cloth is not None)
         self.view_cache = view_cache
+        self.works_on = view_cache.works_on
 
     def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
         """See `Source`."""

@@ -49,9 +49,9 @@ class ViewCache:
         self.device = torch.device(self.settings.device)
         # Exact areas take a GPU thousands of small operations, minutes a view on an H100; the CPU some hundredths of a
         # second.
-        self._works_on = torch.device("cpu") if self.settings.by_area else self.device
+        self.works_on = torch.device("cpu") if self.settings.by_area else self.device
 
-        def put(array: np.ndarray, dtype: torch.dtype, device: torch.device = self._works_on) -> Tensor:
+        def put(array: np.ndarray, dtype: torch.dtype, device: torch.device = self.works_on) -> Tensor:
             # A copy, always: torch takes no read-only arrays.
             return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
 
@@ -114,7 +114,7 @@ class ViewCache:
 
     def _build(self, key: Key, count: int = 1) -> View:
         screen, light = self.screen([key]), self._view_space_light(*key)
-        stage = backend(self._works_on)
+        stage = backend(self.works_on)
 
         def lit(band: Window) -> View:
             return stage.build_view(self._band(key, screen, band), screen, self._surface, *light)
@@ -150,7 +150,7 @@ class ViewCache:
 
         A view of few samples is quicker on one thread than on two that wait for each other's Python.
         """
-        return 1 if views == 1 and self.settings.samples in (1, 4) else workers(self._works_on)
+        return 1 if views == 1 and self.settings.samples in (1, 4) else workers(self.works_on)
 
     def cull(self, keys: Sequence[Key], screen: Screen) -> Bool[Tensor, "B T"]:
         """Mark triangles whose back faces are dropped: those of closed surfaces that face outwards.
@@ -172,7 +172,7 @@ class ViewCache:
         window = bounding_window(screen)
         rows = max(1, window.y1 - window.y0)
         if not self.settings.by_area:  # areas are cut further by the pixels that triangles touch
-            most = BAND_SAMPLES.get(self._works_on.type, BAND_SAMPLES["cpu"])
+            most = BAND_SAMPLES.get(self.works_on.type, BAND_SAMPLES["cpu"])
             rows = max(1, most // max(1, (window.x1 - window.x0) * self.settings.grid**2))
         bands = [
             replace(band, y0=y, y1=min(y + rows, band.y1))
@@ -195,7 +195,7 @@ class ViewCache:
         position = camera.position(camera.pivot or pose.center)
         offset = [a - b for a, b in zip(self.settings.light.position, position, strict=True)]
         light = [sum(a * o for a, o in zip(axis, offset, strict=True)) for axis in axes]
-        rotation, light = (torch.tensor(t, dtype=torch.float32).to(self._works_on) for t in (axes, light))
+        rotation, light = (torch.tensor(t, dtype=torch.float32).to(self.works_on) for t in (axes, light))
         return rotation @ pose.normals, light
 
     def _pose(self, index: int) -> _Pose:
@@ -204,7 +204,7 @@ class ViewCache:
             if not 0 <= index < self.bodies.pose_count:
                 raise InputError(f"pose {index}: the scene has {self.bodies.pose_count}")
             own = self.bodies.vertices[index]
-            vertices = torch.from_numpy(own.T.astype(np.float64)).to(self._works_on).contiguous()
+            vertices = torch.from_numpy(own.T.astype(np.float64)).to(self.works_on).contiguous()
             low, high = own.min(0, initial=np.inf), own.max(0, initial=-np.inf)
             center = tuple(((low.astype(np.float64) + high) / 2).tolist()) if vertices.shape[1] else (0.0, 0.0, 0.0)
             pose = self._kept.put(("pose", index), _Pose(vertices, self._normals(vertices), center))

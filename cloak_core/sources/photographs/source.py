@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int, Int64
 
 from cloak_core.core.linear import SparseMap
@@ -57,6 +58,7 @@ class PeopleSource:
     """
 
     directions, is_fresh = 1, True
+    works_on = torch.device("cpu")
 
     def __init__(self, fits: Sequence[Fit], worn: Worn, settings: PeopleSettings, size: int, seed: int = 0) -> None:
         """seed: of the run, which decides in which order people are shown."""

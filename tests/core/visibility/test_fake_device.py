@@ -17,7 +17,7 @@ from cloak_core.core.cameras import Camera
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.paint import Canvas
 from cloak_core.core.view import BakedView
-from cloak_core.core.visibility.compiled import torch_alone
+from cloak_core.core.visibility.compiled import torch_alone, triton_kernels
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.core.visibility.torch import painting
 from cloak_core.sources.bodies.view_cache import ViewCache
@@ -51,7 +51,7 @@ def on_device(view: BakedView) -> BakedView:
 
 def render(shifted: bool, device: str = "cuda") -> None:
     camera, body = Camera(distance=3.0, width=40, height=30), sphere()
-    with torch_alone():
+    with torch_alone(), triton_kernels(wanted=False):  # painting has no kernels
         view = ViewCache(body, RenderSettings(light=Light(color=(1.0, 0.9, 0.8)))).bake(
             0, camera, list(range(0, body.face_count, 2))
         )

@@ -14,20 +14,14 @@ from cloak_core.bench.gpu import Operations
 from cloak_core.bench.oracle import screen_of
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import View
-from cloak_core.core.visibility.compiled import torch_alone, triton_kernels
+from cloak_core.core.visibility.compiled import torch_alone, triton_kernels, use_kernels
 from cloak_core.core.visibility.rasterizer import rasterize
 from cloak_core.core.visibility.screen import GRID, GUARD
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.sources.bodies.view_cache import ViewCache
 
-triton = pytest.importorskip("triton")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        tuple(map(int, triton.__version__.split(".")[:2])) > (3, 8),
-        reason="the kernels are for triton up to 3.8: the interpreter of 3.9 refuses their masks",
-    ),
-]
+pytest.importorskip("triton")
+pytestmark = pytest.mark.slow
 CAMERA = Camera(distance=2.6, width=11, height=9)
 MOST_OPERATIONS = 60
 
@@ -103,19 +97,19 @@ def test_a_new_view_is_few_operations(monkeypatch: pytest.MonkeyPatch) -> None:
 COMPILE = """
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource, compile
-from cloak_core.core.visibility.fused import sampling, shading
+from cloak_core.core.visibility.fused import kernel, sampling, shading
 
-def compiled(kernel, types, constants, **options):
-    names = [parameter.name for parameter in kernel.params]
+def compiled(function, types, constants, **options):
+    names = [parameter.name for parameter in function.params]
     signature = dict(zip(names, types.split())) | dict.fromkeys(constants, "constexpr")
-    source = ASTSource(kernel, signature, constexprs={(names.index(n),): v for n, v in constants.items()})
+    source = ASTSource(function, signature, constexprs={(names.index(n),): v for n, v in constants.items()})
     return compile(source, target=GPUTarget("cuda", 80, 32), options=options).asm["ptx"]
 
 drawn = "*i64 *i32 *i32 *fp64 *i64 *i64 *i1" + 6 * " i32"
 constants = {"DEPTH_BITS": 39, "ID_BITS": 24, "BLOCK": 64}
 print(compiled(sampling.draw, drawn, constants, **sampling.OPTIONS))
 lit = "*fp32 *i64 *fp32 *fp64 *fp64 *i64 *fp64 *fp32 *fp32 *fp64" + 3 * " i32" + 6 * " fp32"
-compiled(shading.light_all, lit, {"BLOCK": 128})
+compiled(shading.light_all, lit, {"BLOCK": 128}, **kernel.NO_FUSION)
 """
 
 
@@ -124,5 +118,15 @@ def test_kernels_compile_for_a_card_and_round_every_operation(monkeypatch: pytes
     monkeypatch.delenv("TRITON_INTERPRET")
     done = subprocess.run([sys.executable, "-c", COMPILE], capture_output=True, text=True)
     assert not done.returncode, done.stderr
-    assert re.search(r"mul\S*\.f64", done.stdout) and re.search(r"atom\S*min\.s64", done.stdout)
+    assert re.search(r"mul\S*\.f64", done.stdout) and re.search(r"(atom|red)\S*min\.s64", done.stdout)
     assert not re.search(r"fma\S*\.f64", done.stdout)
+
+
+def test_kernels_are_for_cuda_and_can_be_switched_off() -> None:
+    assert use_kernels(torch.device("cuda")) and not use_kernels(torch.device("cpu"))
+    with torch_alone():
+        assert not use_kernels(torch.device("cpu"))
+        with triton_kernels():
+            assert use_kernels(torch.device("cpu"))
+    with triton_kernels(wanted=False):
+        assert not use_kernels(torch.device("cuda"))

@@ -192,3 +192,23 @@ def test_bad_requests_are_named() -> None:
         cache.bake(0, CAMERA, [0], outfit=2)
     with pytest.raises(Exception, match="samples"):  # an InputError, or the type check that pytest switches on
         ViewCache(sphere(), RenderSettings(samples=3))
+
+
+def test_a_device_gets_exact_areas_that_the_cpu_worked_out() -> None:
+    """No kernel of the device is asked: one that only knows shapes stands for it."""
+    key = (0, Camera(width=11, height=9, distance=3.0))
+    here = ViewCache(sphere()).view(*key)
+    cache = ViewCache(sphere(), RenderSettings(device="meta"))
+    there = cache.view(*key)
+    tensors = [there.pixels, there.coverage, there.specular, there.map.crow, there.map.column, there.map.weight]
+    assert cache.works_on.type == "cpu" and {tensor.device.type for tensor in tensors} == {"meta"}
+    assert len(there.map) == len(here.map) > 5
+
+
+def test_a_view_that_is_on_its_device_stays_itself_and_keeps_its_transpose() -> None:
+    view = ViewCache(sphere()).bake(0, Camera(width=11, height=9, distance=3.0), [0, 1, 2])
+    transposed = view.map.transposed
+    assert view.to(torch.device("cpu")) is view and view.map.transposed is transposed
+    moved = view.to(torch.device("meta"))
+    assert {moved.pixels.device.type, moved.base_color.device.type, moved.map.weight.device.type} == {"meta"}
+    assert moved.front_count == view.front_count and moved.box == view.box

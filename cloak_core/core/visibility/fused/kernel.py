@@ -7,6 +7,9 @@ from collections.abc import Callable
 
 import triton
 
+NO_FUSION = {"enable_fp_fusion": False}
+"""Fused multiply-adds round once instead of twice: other bits than everywhere else."""
+
 
 def kernel(*numbers: str) -> Callable[[Callable], object]:
     """Decorate a kernel, or a function of one; it is not compiled anew for other values of these numbers."""

@@ -7,13 +7,12 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from cloak_core.core.view import FlatTriangles
-from cloak_core.core.visibility.fused.kernel import kernel
+from cloak_core.core.visibility.fused.kernel import NO_FUSION, kernel
 from cloak_core.core.visibility.packing import DEPTH_BITS, ID_BITS
 
 BLOCK = 64
 """Samples that a program tests at once."""
-OPTIONS = {"num_warps": 1, "enable_fp_fusion": False}
-"""Fused multiply-adds round once instead of twice: other bits of depth than everywhere else."""
+OPTIONS = {"num_warps": 1, **NO_FUSION}
 
 
 def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:
@@ -71,7 +70,7 @@ def draw(
     width = tl.maximum(right - left, 0)
     total = tl.where(dropped, 0, width * tl.maximum(bottom - top, 0))
     name = tl.load(ids + triangle)
-    left_edge = y1 > y2
+    left_edge = (y1 > y2).to(tl.int64)
     start = total * 0
     while start < total:
         number = start + tl.arange(0, BLOCK)
@@ -79,7 +78,7 @@ def draw(
         across, down = column * spacing + half - x0, row * spacing + half - y0
         e1, e2 = d2y * across - d2x * down, d1x * down - d1y * across
         e0 = area - e1 - e2
-        inside = (number < total) & (e1 >= 0) & (e2 > 0) & ((e0 > 0) | ((e0 == 0) & left_edge))
+        inside = (number < total) & (e1 >= 0) & (e2 > 0) & (e0 + left_edge > 0)
         depth = (e1.to(tl.float64) * slope1 + e2.to(tl.float64) * slope2) + n0
         most: tl.constexpr = (1 << DEPTH_BITS) - 1
         steps = tl.minimum(tl.maximum((depth * (1 << DEPTH_BITS)).to(tl.int64), 0), most)

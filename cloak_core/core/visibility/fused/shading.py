@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from cloak_core.core.view import Fragments, Screen, Surface
-from cloak_core.core.visibility.fused.kernel import kernel
+from cloak_core.core.visibility.fused.kernel import NO_FUSION, kernel
 
 BLOCK = 128
 
@@ -28,7 +28,7 @@ def light_fragments(
         material = [float(value) for value in (light.ambient, light.diffuse, light.specular, light.shininess)]
         sizes = count, surface.triangles.shape[1], normals.shape[1]
         grid = (triton.cdiv(count, BLOCK),)
-        light_all[grid](out, *tensors, *sizes, screen.width / 2, screen.height / 2, *material, BLOCK)
+        light_all[grid](out, *tensors, *sizes, screen.width / 2, screen.height / 2, *material, BLOCK, **NO_FUSION)
     return out[0], out[1], None, None
 
 

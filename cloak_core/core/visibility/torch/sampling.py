@@ -67,13 +67,17 @@ def merge_samples(packed: Tensor, grid: int, window: Window, width: int) -> Frag
     triangle = triangle_ids(packed[sample[:, 0], sample[:, 1]])
     row, column = torch.div(sample, grid, rounding_mode="floor").T
     pixel = torch.add(column, row, alpha=width)
+    first = window.y0 * width + window.x0
+    if grid == 1:  # every sample is a fragment of its own, in order already: a GPU sorts in twenty launches
+        y, x = sample.T.double() + 0.5
+        area = torch.ones(len(pixel), dtype=torch.float32, device=packed.device)
+        return Fragments(pixel + first, triangle, area, x + window.x0, y + window.y0)
     entry, owner, count = torch.unique(
         torch.add(triangle, pixel, alpha=1 << ID_BITS), return_inverse=True, return_counts=True
     )
     total = torch.zeros(len(entry), 2, dtype=torch.float64, device=packed.device).index_add_(0, owner, sample.double())
     y, x = (total / (count * grid).unsqueeze(1)).T + 0.5 / grid
     area = count.to(torch.float32) / (grid * grid)
-    first = window.y0 * width + window.x0
     return Fragments((entry >> ID_BITS) + first, entry & ((1 << ID_BITS) - 1), area, x + window.x0, y + window.y0)
 
 
