@@ -75,6 +75,10 @@ def kept_back(kind: str, config: dict) -> str:
     head, mark, rest = spec.partition(":train")
     if mark and head in EMBEDDED:
         return head + KEPT_BACK[kind] + rest
+    if kind == "scene" and not spec and "people" in inputs:
+        raise InputError(
+            "trained on people in photographs: name others, --people FILE, or bodies, --scene sample:unseen"
+        )
     raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
 
 

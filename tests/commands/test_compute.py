@@ -86,6 +86,8 @@ def test_what_was_kept_back_is_known_either_way():
         assert kept_back("backgrounds", {"inputs": inputs}) == "procedural:test:64"
     for name in ("sample-clothed", "sample-tight"):
         assert kept_back("scene", {"inputs": {"scene": f"{name}:train[walking*]"}}) == f"{name}:unseen"
+    with pytest.raises(InputError, match="trained on people in photographs: name others, --people FILE"):
+        kept_back("scene", {"inputs": {"people": "people.json"}})
     with pytest.raises(InputError, match="--scene: say what to evaluate on"):
         kept_back("scene", {"inputs": {"scene": "/runs/demo.input/scene"}})
 
