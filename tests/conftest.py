@@ -10,10 +10,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 import pytest
 from hypothesis import settings
-from jaxtyping import install_import_hook
 
 import cloak_core
 from tests import reliability_record
+from tests.type_checks import check_rooms
 
 # No test is judged by the clock: machines are shared.
 settings.register_profile("cloak", deadline=None)
@@ -28,7 +28,7 @@ os.environ["CLOAK_CACHE"] = "off"
 
 # Every room but the commands: tyro fills required options with a marker before the user's words replace it.
 ROOMS = sorted({path.parent.name for path in Path(cloak_core.__file__).parent.glob("*/__init__.py")} - {"commands"})
-install_import_hook([f"cloak_core.{room}" for room in ROOMS], "beartype.beartype")
+check_rooms([f"cloak_core.{room}" for room in ROOMS])
 
 
 @pytest.fixture(scope="session")

@@ -57,6 +57,7 @@ class Plan:
     folder: Path
     angles: tuple[int, ...]
     backgrounds: str = ""
+    samples: int = SAMPLES  # of a pixel
 
 
 def new_folder_in(parent: Path) -> Path:
@@ -99,7 +100,7 @@ def run_plan(file: str) -> None:
         if not worn:
             undress(obj)
         for number, (angle, image) in enumerate(zip(plan.angles, batch, strict=True)):
-            render_view(obj, image, angle)
+            render_view(obj, image, angle, samples=plan.samples)
             _composite(image, photographs[number % len(photographs)] if photographs else None)
 
 

@@ -16,7 +16,7 @@ from tests.shared_folders import fill_once
 
 ROOT = Path(__file__).resolve().parents[2]
 INSIDE = Path(__file__).parent / "inside"
-GROUPS = 6
+GROUPS = 4
 """A process that has Blender and the extension takes more than a second to start."""
 LONG = sorted(path.name for path in INSIDE.glob("test_real_*.py"))
 """With real trainings, and one with files of CLOAK_SHARED: minutes."""

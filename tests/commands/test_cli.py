@@ -1,10 +1,13 @@
 """The command line's manners: exit codes, one line for bad input, JSON alone on standard output."""
 
+import contextlib
+import io
 import json
 import re
 import shlex
 import subprocess
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -21,13 +24,20 @@ def cloak(*arguments: object, **options: object) -> subprocess.CompletedProcess:
     return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
 
 
-def bad(*arguments: object) -> str:
-    """The one line with which bad input is refused."""
-    done = cloak(*arguments)
-    assert done.returncode == 2, done.stderr
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1 and lines[0].startswith("cloak: ") and not done.stdout
-    return lines[0]
+@pytest.fixture
+def bad(capsys):
+    """Return the one line with which bad input is refused; test_streams.py sees a process end so."""
+
+    def refused(*arguments: object) -> str:
+        with pytest.raises(SystemExit) as end:
+            cli.main([*map(str, arguments)])
+        said = capsys.readouterr()
+        assert end.value.code == 2, said.err
+        lines = said.err.strip().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("cloak: ") and not said.out
+        return lines[0]
+
+    return refused
 
 
 @pytest.fixture
@@ -58,7 +68,7 @@ def test_json_alone_on_standard_output(scene):
         (("scene", "import", "absent.obj", "--out", "x"), "absent.obj"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
+def test_bad_input_is_one_line_and_exit_code_2(arguments, words, bad):
     assert re.search(words, bad(*arguments))
 
 
@@ -99,49 +109,39 @@ def test_a_part_of_what_is_needed(capsys):
         assert needs in capsys.readouterr().err
 
 
-def test_nothing_is_overwritten(scene):
+def test_nothing_is_overwritten(scene, bad):
     assert "exists already" in bad("scene", "sample", "--out", scene)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_every_command_has_help_and_json(name, capsys):
-    with pytest.raises(SystemExit) as end:
-        cli.parse(name, ["--help"])
-    assert end.value.code == 0
-    text = capsys.readouterr().out
+def test_every_command_has_help_json_and_an_example_that_is_a_command(name):
+    text = help_text(name, "--help", 80)
     assert "--json" in text and (cli.load(name).__doc__ or "").strip().splitlines()[0][:30] in text
     assert not re.search(r"\(default[^)]*\)\.? \(default", " ".join(text.split()))
+    example = re.search(r"Example:\n((?:.*\\\n)*.*)\n", text)[1]
+    words = cli.find(shlex.split(example.replace("\\\n", " "))[1:])
+    assert words[0] == name and cli.parse(*words)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_the_example_in_the_help_is_a_command(name, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit):
-        cli.parse(name, ["--help"])
-    example = re.search(r"Example:\n((?:.*\\\n)*.*)\n", capsys.readouterr().out)[1]
-    assert cli.find(shlex.split(example.replace("\\\n", " "))[1:])[0] == name
-    assert cli.parse(*cli.find(shlex.split(example.replace("\\\n", " "))[1:]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_help_shows_the_options_that_are_taken(name, capsys):
+def test_help_shows_the_options_that_are_taken(name):
     """Those of tyro, which reads them."""
-    flags = {flag.split()[0] for flags in help_of(name, capsys).values() for flag in flags}
+    flags = {flag.split()[0] for flags in help_of(name).values() for flag in flags}
     cls = cli.load(name)
     default = {"default": cls.default([])} if hasattr(cls, "default") else {}
     config = (tyro.conf.FlagCreatePairsOff,)
     parser = tyro.extras.get_parser(cls, config=config, registry=REGISTRY, add_help=False, **default)
     assert flags == {action.option_strings[-1] for action in parser._actions if action.option_strings}
+    if name in ("train", "evaluate", "reproduce", "demo", "sweep", "detectors check", "logo heatmap"):
+        assert {"--threads", "--device"} <= flags, "it computes"
+        assert "--seed" in flags or name == "logo heatmap"  # which draws nothing
 
 
 @pytest.mark.slow
-def test_help_of_training_is_short(capsys):
-    with pytest.raises(SystemExit):
-        cli.parse("train", ["--help"])
-    text = capsys.readouterr().out
+def test_help_of_training_is_short():
+    text = help_text("train", "--help", 80)
     assert sum(line.startswith("  --") for line in text.splitlines()) == 22 and "--help-all" in text
 
 
@@ -164,16 +164,24 @@ def flags_of(text: str) -> dict[str, list[str]]:
     return {heading: flags for heading, flags in found.items() if flags}
 
 
-def help_of(name: str, capsys: pytest.CaptureFixture) -> dict[str, list[str]]:
-    with pytest.raises(SystemExit):
-        cli.parse(name, ["--help-all"])
-    return flags_of(capsys.readouterr().out)
+def help_of(name: str) -> dict[str, list[str]]:
+    return flags_of(help_text(name, "--help-all", 120))
+
+
+@cache
+def help_text(name: str, option: str, columns: int) -> str:
+    """What a command's help says; once a process, for it takes half a second."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patched, contextlib.redirect_stdout(said), pytest.raises(SystemExit) as end:
+        patched.setenv("COLUMNS", str(columns))
+        cli.parse(name, [option])
+    assert end.value.code == 0
+    return said.getvalue()
 
 
 @pytest.mark.slow
-def test_help_has_headings_and_choices(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "120")
-    shown = help_of("train", capsys)
+def test_help_has_headings_and_choices():
+    shown = help_of("train")
     parts = [
         "The run",
         "Views",
@@ -191,21 +199,9 @@ def test_help_has_headings_and_choices(capsys, monkeypatch):
     assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,adaptive}"} <= set(shown["Loss"])
     assert {"--optimizer {sgd,adam,mi}", "--schedule {constant,step,cosine}"} <= set(shown["Optimiser"])
     assert {"--translation-per {image,batch}", "--blur X"} <= set(shown["Augmentation"])
-    shown = help_of("evaluate", capsys)
+    shown = help_of("evaluate")
     assert list(shown) == ["Options", "Detectors", "Evaluation", "Computing"]
-    assert "--preset {paper,reference,best,transfer,photographs}" in help_of("reproduce", capsys)["Experiments"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    ["train", "evaluate", "reproduce", "demo", "sweep", "detectors check", "logo heatmap"],
-)
-def test_every_command_that_computes_takes_threads_and_device(name, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "120")
-    flags = {flag.split(" ")[0] for flags in help_of(name, capsys).values() for flag in flags}
-    assert {"--threads", "--device"} <= flags
-    assert "--seed" in flags or name == "logo heatmap"  # which draws nothing
+    assert "--preset {paper,reference,best,transfer,photographs}" in help_of("reproduce")["Experiments"]
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pkgutil
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,14 @@ def stub(tmp_path: Path) -> Path:
 def real_trainer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The project's own trainer."""
     return make_launcher(tmp_path_factory.mktemp("real"), [ROOT], os.environ["CLOAK_TRAINER"])
+
+
+@pytest.fixture
+def coarse_renders(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A render check has one sample a pixel, which takes a tenth of a render's time."""
+    from cloak.result import render_check
+
+    monkeypatch.setattr(render_check, "Plan", partial(render_check.Plan, samples=1))
 
 
 def run_job(seconds: float = 60):

@@ -139,7 +139,7 @@ def test_a_glb_has_the_picture_itself_on_a_map_that_repeats(clothed, tmp_path):
 
 def test_the_second_blender_of_render_check_shows_the_cloth(clothed, tmp_path):
     obj = clothed[0]
-    plan = render_check.Plan(obj.name, tmp_path / "check", (0,))
+    plan = render_check.Plan(obj.name, tmp_path / "check", (0,), samples=1)
     plan.folder.mkdir()
     render_check.prepare(plan)
     code = (f"from {MODULE}.result import render_check", f"render_check.run_plan({str(plan.folder / 'plan.json')!r})")

@@ -1,7 +1,10 @@
 """`train.py` without a window, as users run it: exit codes and files, by the stub trainer."""
 
 import json
+import os
+import signal
 import subprocess
+import time
 from pathlib import Path
 
 import bpy
@@ -24,6 +27,22 @@ def train(folder: Path, *arguments: object, python: object = None) -> subprocess
     )
 
 
+@pytest.fixture
+def train_here(monkeypatch, capfd):
+    """Return `train`, but in this process, which spares each a start of Blender; its preview is a coarse one."""
+    monkeypatch.setattr(script, "PREVIEW_SAMPLES", 1)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def run(folder: Path, *arguments: object, python: object) -> subprocess.CompletedProcess:
+        monkeypatch.chdir(folder)
+        words = [*map(str, arguments), "--python", str(python)]
+        return subprocess.CompletedProcess(words, script.run(words), *capfd.readouterr())
+
+    yield run
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
 def save_body(folder: Path, ids, name: str = "chest") -> Path:
     obj = make_egg()
     faces.new_logo(obj, name, np.isin(np.arange(len(obj.data.polygons)), ids))
@@ -36,7 +55,7 @@ def reds(obj) -> np.ndarray:
     return (np.abs(colors.written_colors(obj) - [1, 0, 0]) < 1 / 255).all(1)
 
 
-def test_from_blend_to_blend(tmp_path, stub):
+def test_from_blend_to_blend(tmp_path, stub, train_here):
     blend = save_body(tmp_path, [4, 5, 6])
     frames = ("--frames", "1:60:10", "--angles", "-10:10:5", "--steps", 3, "--detector", "builtin")
     done = train(
@@ -49,22 +68,19 @@ def test_from_blend_to_blend(tmp_path, stub):
     obj = bpy.data.objects["Body"]
     assert np.flatnonzero(reds(obj)).tolist() == [4, 5, 6]
     assert obj.cloak.run == "//RUN"  # the panel goes on from here
-    again = train(tmp_path, "--blend", blend, "--logo", "chest", "--out", "RUN", python=stub)
+    again = train_here(tmp_path, "--blend", blend, "--logo", "chest", "--out", "RUN", python=stub)
     assert again.returncode == 2 and "exists already (continue it with --resume" in again.stderr
 
 
-def refused(arguments: tuple, python: object, capfd: pytest.CaptureFixture) -> list[str]:
-    """What `train.py` says on standard error where it ends with code 2, in this process: starting one takes seconds."""
-    code = script.run([*map(str, arguments), "--python", str(python)])
-    stderr = capfd.readouterr().err
-    assert code == 2 and "Traceback" not in stderr, (arguments, stderr)
-    return [line for line in stderr.splitlines() if line.startswith("cloak: ")]
+def refused(done: subprocess.CompletedProcess) -> list[str]:
+    """What `train.py` says on standard error where it ends with code 2."""
+    assert done.returncode == 2 and "Traceback" not in done.stderr, done
+    return [line for line in done.stderr.splitlines() if line.startswith("cloak: ")]
 
 
-def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch, capfd):
+def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch, train_here):
     blend = save_body(tmp_path, [4, 5, 6])
-    monkeypatch.chdir(tmp_path)
-    Path("junk.blend").write_bytes(b"no blend at all")
+    (tmp_path / "junk.blend").write_bytes(b"no blend at all")
     some = ("--blend", blend, "--out", "RUN")
     for words, message in (
         ((*some,), "required: --logo"),
@@ -80,23 +96,24 @@ def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch, capfd):
         (("--blend", "none.blend", "--out", "RUN", "--logo", "chest"), "--blend none.blend: no such file"),
         ((*some, "--logo", "missing.npy"), "missing.npy: no such file"),
     ):
-        (line,) = refused(words, stub, capfd)
+        (line,) = refused(train_here(tmp_path, *words, python=stub))
         assert message in line and not list(tmp_path.glob("RUN*"))
-    assert "'/nowhere/python' cannot be run" in refused((*some, "--logo", "chest"), "/nowhere/python", capfd)[-1]
+    nowhere = train_here(tmp_path, *some, "--logo", "chest", python="/nowhere/python")
+    assert "'/nowhere/python' cannot be run" in refused(nowhere)[-1]
     monkeypatch.setenv("CLOAK_STUB", "refuse")
-    done = train(tmp_path, *some, "--logo", "chest", python=stub)
-    assert done.returncode == 2 and "cloak: --detector builtin: no such thing here" in done.stderr
+    (line,) = refused(train_here(tmp_path, *some, "--logo", "chest", python=stub))
+    assert "cloak: --detector builtin: no such thing here" in line
     monkeypatch.setenv("CLOAK_STUB", "crash")
-    done = train(tmp_path, *some, "--logo", "chest", python=stub)  # the failed start before is not in its way
+    done = train_here(tmp_path, *some, "--logo", "chest", python=stub)  # the failed start before is not in its way
     assert done.returncode == 1 and "a defect" in done.stderr
 
 
-def test_a_trainer_that_does_nothing_and_a_closed_output_have_their_codes(tmp_path, stub):
+def test_a_trainer_that_does_nothing_and_a_closed_output_have_their_codes(tmp_path, stub, train_here):
     blend = save_body(tmp_path, [4, 5, 6])
     idle = tmp_path / "idle"
     idle.write_text("#!/bin/sh\nexit 0\n")
     idle.chmod(0o755)
-    done = train(tmp_path, "--blend", blend, "--logo", "chest", "--out", "A", python=idle)
+    done = train_here(tmp_path, "--blend", blend, "--logo", "chest", "--out", "A", python=idle)
     assert done.returncode == 1 and "the trainer ended and left no colours in" in done.stderr
     command = blender_command(SCRIPT, "--blend", blend, "--logo", "chest", "--out", "B", "--python", stub)
     closed = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], cwd=tmp_path, timeout=300, check=False)
@@ -104,22 +121,19 @@ def test_a_trainer_that_does_nothing_and_a_closed_output_have_their_codes(tmp_pa
 
 
 @pytest.mark.parametrize("out", ["/proc/nowhere/RUN", "file.txt/RUN", "/proc/RUN"])
-def test_a_place_that_cannot_be_written_is_one_line_and_code_2(tmp_path, stub, out, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    Path("file.txt").touch()
-    (line,) = refused(("--blend", save_body(tmp_path, [4]), "--logo", "chest", "--out", out), stub, capfd)
+def test_a_place_that_cannot_be_written_is_one_line_and_code_2(tmp_path, stub, out, train_here):
+    (tmp_path / "file.txt").touch()
+    words = ("--blend", save_body(tmp_path, [4]), "--logo", "chest", "--out", out)
+    (line,) = refused(train_here(tmp_path, *words, python=stub))
     assert out.split("/")[-2] in line
 
 
-def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch):
-    import os
-    import signal
-    import time
-
+def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch, train_here):
     blend = save_body(tmp_path, [4, 5, 6])
-    words = ["--blend", str(blend), "--logo", "chest", "--out", "RUN", "--steps", "40", "--python", str(stub)]
+    words = ["--blend", str(blend), "--logo", "chest", "--out", "RUN", "--steps", "40"]
     monkeypatch.setenv("CLOAK_STUB", "slow")
-    process = subprocess.Popen(blender_command(SCRIPT, *words), cwd=tmp_path, stderr=subprocess.PIPE)
+    command = blender_command(SCRIPT, *words, "--python", stub)
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE)
     until = time.monotonic() + 250
     while not (tmp_path / "RUN" / "step.txt").exists() and time.monotonic() < until:
         time.sleep(0.05)
@@ -128,13 +142,15 @@ def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch):
     assert process.returncode == 3 and b"Resume goes on from there" in stderr
     monkeypatch.setenv("CLOAK_STUB", "")
     words[words.index("40")] = "50"
-    done = train(tmp_path, *words, "--resume", "--save", "cloaked.blend")
+    done = train_here(tmp_path, *words, "--resume", "--save", "cloaked.blend", python=stub)
     assert "--resume keeps what the run was started with: steps 40 (not 50)" in done.stdout
     assert done.returncode == 0 and (tmp_path / "cloaked.blend").exists(), done.stderr
 
 
-def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub):
-    done = train(tmp_path, "--sample", "--logo", "chest", "--out", "A", "--steps", 2, "--frames", "1:2:1", python=stub)
+def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub, train_here):
+    done = train_here(
+        tmp_path, "--sample", "--logo", "chest", "--out", "A", "--steps", 2, "--frames", "1:2:1", python=stub
+    )
     assert done.returncode == 0 and "exported 2 poses, 4 faces" in done.stdout, done.stderr
     remembered = json.loads((tmp_path / "A.input" / "command.json").read_text())["options"]
     assert remembered[-2:] == ["--made-from", "sample:train"]
@@ -142,10 +158,12 @@ def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub):
     obj = bpy.data.objects["Body"]
     faces.new_logo(obj, "back", np.isin(np.arange(len(obj.data.polygons)), [9]))
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
-    done = train(tmp_path, "--blend", "two.blend", "--logo", "chest + back", "--out", "B", "--steps", 2, python=stub)
+    done = train_here(
+        tmp_path, "--blend", "two.blend", "--logo", "chest + back", "--out", "B", "--steps", 2, python=stub
+    )
     assert done.returncode == 0 and np.load(tmp_path / "B" / "logo.npy").tolist() == [4, 5, 6, 9], done.stderr
     from cloak.exchange.face_lists import write_face_list
 
-    write_face_list(tmp_path / "list.npy", np.array([7, 8]), topology(obj))
-    done = train(tmp_path, "--blend", "two.blend", "--logo", "list.npy", "--out", "C", "--steps", 2, python=stub)
+    write_face_list(tmp_path / "list.npy", np.array([7, 8]), topology(bpy.data.objects["Body"]))
+    done = train_here(tmp_path, "--blend", "two.blend", "--logo", "list.npy", "--out", "C", "--steps", 2, python=stub)
     assert done.returncode == 0 and np.load(tmp_path / "C" / "logo.npy").tolist() == [7, 8], done.stderr

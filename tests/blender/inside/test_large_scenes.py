@@ -21,12 +21,12 @@ REDRAW, MOVED, CHANGE = 0.05, 0.05, 0.6
 
 
 @pytest.fixture
-def crowd(chest):  # noqa: F811
-    """A body in a shirt among ten thousand cubes, in a Blender that keeps what redraws ask."""
+def crowd(chest, request):  # noqa: F811
+    """A body in a shirt among cubes, ten thousand for a test of the clock; Blender keeps what redraws ask."""
     shirt = add_shirt(chest)
     bpy.ops.mesh.primitive_cube_add(size=0.3, location=(5, -5, 0))
     mesh = bpy.context.object.data
-    for number in range(OBJECTS):
+    for number in range(getattr(request, "param", OBJECTS)):
         cube = bpy.data.objects.new(f"Cube {number}", mesh)
         cube.location = (2 + number % 100, 2 + number // 100, 0)
         bpy.context.collection.objects.link(cube)
@@ -49,7 +49,7 @@ def redraw() -> None:
 
 
 def move_one() -> None:
-    bpy.data.objects["Cube 4711"].location.x += 0.1
+    bpy.data.objects["Cube 47"].location.x += 0.1
     bpy.context.view_layer.update()
 
 
@@ -73,6 +73,7 @@ def test_a_redraw_asks_nothing_of_ten_thousand_objects(crowd):
     assert min(seconds(change) for _ in range(3)) < CHANGE
 
 
+@pytest.mark.parametrize("crowd", [100], indirect=True)
 def test_a_moved_object_alone_is_asked_about(crowd, monkeypatch):
     redraw()
     asked, near = [], garments.objects_near
@@ -133,6 +134,7 @@ def test_what_is_kept_equals_what_all_objects_say():
     assert len(found) > 30
 
 
+@pytest.mark.parametrize("crowd", [100], indirect=True)
 def test_what_is_kept_follows_every_change(crowd):
     body, shirt = crowd
     cube = bpy.data.objects["Cube 77"]

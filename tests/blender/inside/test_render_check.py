@@ -51,7 +51,7 @@ def test_the_camera_is_the_trainers(tmp_path):
     assert not [s for s in bpy.data.scenes if "render" in s.name] and "cloak camera" not in bpy.data.objects
 
 
-def test_from_the_operator_to_the_verdict(tmp_path, stub):
+def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
     obj = dressed(tmp_path)
     settings = bpy.context.scene.cloak
     settings.angle_first, settings.angle_last, settings.angle_step = -10, 10, 20

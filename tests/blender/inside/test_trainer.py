@@ -88,7 +88,7 @@ def test_without_a_trainer_what_needs_one_is_not_there_and_the_rest_works(ready,
     assert bpy.context.object not in (sample, ready) and colors.is_dressed(bpy.context.object)
 
 
-def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, monkeypatch):
+def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, monkeypatch, coarse_renders):
     told = []
     monkeypatch.setattr(try_it, "tell_status", told.append)
     bpy.context.scene.cloak.output = str(tmp_path / "runs")

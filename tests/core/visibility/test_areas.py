@@ -108,29 +108,29 @@ def exact_shares(case: Case, size: int) -> dict:
     return visible_shares(*case, (size, size), GRID, False)
 
 
-@pytest.mark.parametrize("path", ["loops", "torch"])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("make", [soup, level, aligned, same_again, slivers, folded])
-def test_areas_are_those_of_exact_fractions(make: object, seed: int, path: str) -> None:
+def test_areas_are_those_of_exact_fractions(make: object, seed: int) -> None:
     case = make(np.random.default_rng(seed))
     exact = exact_shares(case, SIZE)
-    with torch_alone() if path == "torch" else contextlib.nullcontext():
-        ours = shares(case)
-    assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0))) for key in {*ours, *exact}) < 1e-6
+    for path in (contextlib.nullcontext, torch_alone):
+        with path():
+            ours = shares(case)
+        assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0))) for key in {*ours, *exact}) < 1e-6
     assert sum(exact.values()) > 0.5 and min(exact.values()) < 0.2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", ["loops", "torch"])
-def test_hundreds_of_small_pieces_in_a_pixel_are_exact(path: str) -> None:
+def test_hundreds_of_small_pieces_in_a_pixel_are_exact() -> None:
     """Small triangles that hide and pierce each other, all in the one pixel."""
     case = small_triangles(120)
     exact = exact_shares(case, 1)
-    with torch_alone() if path == "torch" else contextlib.nullcontext(), warnings.catch_warnings():
-        warnings.simplefilter("error")
-        ours = shares(case, 1)
-    assert len(ours) > 60
-    assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0.0))) for key in {*ours, *exact}) < 1e-6
+    for path in (contextlib.nullcontext, torch_alone):
+        with path(), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            ours = shares(case, 1)
+        assert len(ours) > 60
+        assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0.0))) for key in {*ours, *exact}) < 1e-6
 
 
 @pytest.mark.parametrize("path", ["loops", "torch"])
