@@ -248,7 +248,8 @@ class Growth(Bench):
 class Gpu(Bench):
     """Measure on a CUDA device what only one can tell, in one record.
 
-    Beside nvdiffrast and DRTK, where they are installed. Without a device it says which parts were not run, and counts the operations of a new view.
+    Beside nvdiffrast and DRTK, where they are installed. Without a device it says which parts were not run, and counts
+    the operations of a new view.
     """
 
     example = "--out gpu.json"
