@@ -31,12 +31,13 @@ GROUPS: dict[str, dict[str, str]] = {
         "version": "about:Version",
         "completion": "about:Completion",
     },
-    "Bodies and logos": {
+    "Bodies, people and logos": {
         "scene sample": "scene:Sample",
         "scene import": "scene:Import",
         "scene import-smpl": "scene:ImportSmpl",
         "scene import-anny": "scene:ImportAnny",
         "scene info": "scene:Info",
+        "people fit": "people:Fit",
         "logo select": "logo:Select",
         "logo project": "logo:Project",
         "logo heatmap": "logo:Heatmap",

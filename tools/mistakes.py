@@ -40,6 +40,7 @@ READS = {
     "scene import-smpl": "--model {} --poses walk.npz --out new",
     "scene import-anny": "",
     "scene info": "{}",
+    "people fit": "{}",
     "logo select": "--scene {} --region chest --out new.npy",
     "logo project": "--scene {} --text G --out new.npy",
     "logo heatmap": "--scene {} --detector builtin --out new.npy",

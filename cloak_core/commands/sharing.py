@@ -29,6 +29,15 @@ class Part(Protocol):
         ...
 
 
+def executor_of(address: str | None) -> RayCluster | None:
+    """Make what does the jobs on the cluster at an address; None: there is none. InputError: Ray is not installed."""
+    if address is None:
+        return None
+    from cloak_core.jobs.ray_cluster import RayCluster
+
+    return RayCluster(address)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SharingOptions:
     """Where the work is done."""
@@ -41,11 +50,7 @@ class SharingOptions:
 
     def executor(self) -> RayCluster | None:
         """Make what does the jobs; None: in order, here. InputError: Ray is not installed."""
-        if self.ray is None:
-            return None
-        from cloak_core.jobs.ray_cluster import RayCluster
-
-        return RayCluster(self.ray)
+        return executor_of(self.ray)
 
     def spread(self, parts: Sequence[tuple[str, Part]], compute: ComputeSettings) -> None:
         """Have the parts done, each with its name for people; do nothing without --ray.
