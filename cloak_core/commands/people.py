@@ -38,13 +38,13 @@ class Fit(Command):
         people, executor = load_people(self.people, self.images), executor_of(self.ray)
         with counted("fitting", unit="people") as tell:
             fits = fit_people(people, tell, executor)
-        fitting = those_who_fit(people, fits)
+        fitting, qualities = those_who_fit(people, fits), list(fits.qualities())
         return {
             "people": len(fitting),
             "photographs": len(fitting.photographs),
             "left_out": fitting.left_out,
-            "covered": statistics.median(fit.quality["covered"] for fit in fits),
-            "spilled": statistics.median(fit.quality["spilled"] for fit in fits),
+            "covered": statistics.median(quality["covered"] for quality in qualities),
+            "spilled": statistics.median(quality["spilled"] for quality in qualities),
         }
 
     def show(self, result: dict) -> None:

@@ -26,7 +26,7 @@ def test_people_are_fitted_once_and_found_again(tmp_path, monkeypatch, capsys):
 
 
 def test_a_cluster_fits_where_one_is_named(tmp_path, monkeypatch, capsys):
-    """tests/jobs/test_ray.py has a real one, of which a node dies."""
+    """tests/jobs/test_ray.py has a real cluster, and kills a node of it."""
     asked = []
     monkeypatch.setattr("cloak_core.commands.people.executor_of", lambda address: asked.append(address))
     with pytest.raises(SystemExit):

@@ -62,6 +62,11 @@ class Fits(Sequence[Fit]):
         """Read one fit after the other."""
         return map(self._read, self.people)
 
+    def qualities(self) -> Iterator[Mapping[str, float]]:
+        """Say how well each fits (`Fit.quality`), without unpacking what lies on disk."""
+        quality_of = self._read.quality if isinstance(self._read, _Shelf) else lambda person: self._read(person).quality
+        return map(quality_of, self.people)
+
     def expect(self, indices: Iterable[int]) -> None:
         """Have the system read photographs and fits of these people ahead of need."""
         for index in indices:
