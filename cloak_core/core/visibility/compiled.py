@@ -8,6 +8,7 @@ and give the same result as the torch operations in torch/, which other devices 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import importlib.util
 import inspect
 import logging
@@ -101,10 +102,23 @@ def use_kernels(device: torch.device) -> bool:
     """
     if _kernels == "0" or use_loops(device) or (_kernels is None and device.type != "cuda"):
         return False
-    there = importlib.util.find_spec("triton") is not None
-    if not there and _kernels is not None:
+    if importlib.util.find_spec("triton") is None:
+        if _kernels is None:
+            return False
         raise InputError("CLOAK_TRITON=1: no package 'triton' is installed")
-    return there
+    return _kernels is not None or _kernels_start(device)
+
+
+@cache
+def _kernels_start(device: torch.device) -> bool:
+    """Try one out: Triton needs a C compiler and Python's headers, which a machine that trains may lack."""
+    try:
+        importlib.import_module(f"{__package__}.fused.kernel").try_out(device)
+    except Exception as error:  # whatever a compiler that is not there, or too old, makes of it
+        words = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        _log.warning("Triton's kernels do not start here, torch's operations draw instead: %s", words)
+        return False
+    return True
 
 
 @contextlib.contextmanager
