@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -80,13 +81,26 @@ def lay_out(bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], own_pattern:
     )
 
 
+def new_atlas() -> xatlas.Atlas:
+    """Make an atlas that is never taken away.
+
+    Its destructor waits for a thread that it wakes without holding the lock: once in some thousand times the thread
+    sleeps on, and the process with it. A few megabytes are the price.
+    """
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(atlas))
+    return atlas
+
+
 def unwrap(
     points: Float[np.ndarray, "v 3"], triangles: Integer[np.ndarray, "t 3"]
 ) -> tuple[Float[np.ndarray, "t 3 2"], Integer[np.ndarray, " t"]]:
     """Unwrap triangles: flat corners in metres, and the chart of every triangle."""
     import xatlas
 
-    atlas = xatlas.Atlas()
+    atlas = new_atlas()
     atlas.add_mesh(points.astype(np.float32), triangles.astype(np.uint32))
     atlas.generate(xatlas.ChartOptions(), pack_options())
     flat, index = sheet(atlas)
@@ -138,7 +152,7 @@ def pack(
     flat = np.where(mirrored[of_vertex][:, None], flat * [-1, 1], flat)
     stand_up(flat, of_vertex)
     # Turned, charts lie on each other; so do pieces that share their place on a map.
-    atlas = xatlas.Atlas()
+    atlas = new_atlas()
     atlas.add_uv_mesh(apart(flat, of_vertex).astype(np.float32), index.astype(np.uint32))
     atlas.generate(xatlas.ChartOptions(), pack_options())
     packed, again = sheet(atlas)
