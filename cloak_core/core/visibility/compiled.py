@@ -102,11 +102,17 @@ def use_kernels(device: torch.device) -> bool:
     """
     if _kernels == "0" or use_loops(device) or (_kernels is None and device.type != "cuda"):
         return False
-    if importlib.util.find_spec("triton") is None:
+    if not _is_triton_there():
         if _kernels is None:
             return False
         raise InputError("CLOAK_TRITON=1: no package 'triton' is installed")
     return _kernels is not None or _kernels_start(device)
+
+
+@cache
+def _is_triton_there() -> bool:
+    """Asked in every step, looked for once."""
+    return importlib.util.find_spec("triton") is not None
 
 
 @cache
