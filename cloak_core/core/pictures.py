@@ -46,7 +46,8 @@ def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator
             yield in_eight_bits(picture, path)
     except InputError:
         raise
-    except Image.UnidentifiedImageError:
+    except (Image.UnidentifiedImageError, ImportError):
+        # A package of the user's may have put an `open` of its own in Pillow's place that imports further readers.
         raise InputError(f"{path}: not a readable picture (none of {', '.join(FORMATS)})") from None
     except (OSError, ValueError, SyntaxError, EOFError, struct.error, Image.DecompressionBombError) as error:
         raise InputError(f"{path}: not a readable picture ({first_line(error)})") from None
