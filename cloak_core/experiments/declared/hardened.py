@@ -38,8 +38,8 @@ LOGOS: Mapping[str, Callable[[Bodies], np.ndarray]] = {
     BODY: lambda bodies: np.arange(bodies.face_count),
 }
 ADAPTIVE, TRANSFERRED, SEARCH, PUBLISHED = "adaptive", "transferred", "random search", "published"
-COLUMNS = ("success_own", "own_low", "own_high", "clean_recall", "clean_recall_own", "clean_ap50", "false_alarms")
-COLUMNS += ("false_alarms_own", "mean_score", "seeds")
+COLUMNS = ("success_own", "own_low", "own_high", "ap50", "clean_recall", "clean_recall_own", "clean_ap50")
+COLUMNS += ("false_alarms", "false_alarms_own", "mean_score", "seeds")
 
 
 @dataclass(frozen=True, kw_only=True)
