@@ -98,7 +98,7 @@ class Demo(Computing):
 
     out: Path = Path("runs/demo")
     """Run folder; a demo that was interrupted there goes on, one that is complete is evaluated again."""
-    steps: int = 240
+    steps: int = 360
     """Updates of the colours."""
     seed: int = 0
     """Every random draw derives from it."""
