@@ -86,6 +86,8 @@ class Reproduce(Splitting, Computing, Sharing):
 
         if self.name == "all":
             raise InputError("--only: names rows of one experiment, not of all")
+        if self.publish:
+            raise InputError("--publish: takes whole experiments; --only prints its rows, with --json for a program")
         self.prepare()
         store = self._store()
         with shown_progress(store):

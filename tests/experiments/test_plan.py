@@ -32,6 +32,8 @@ def test_a_row_that_does_not_exist_names_those_that_do(tmp_path, capsys):
     assert code == 2 and "--only hat: no such row (1 letter G, single, builtin;" in err
     code, _, err = said(capsys, "reproduce", "all", "--only", "1", "--out", str(tmp_path), *FEW)
     assert code == 2 and "--only: names rows of one experiment" in err
+    code, _, err = said(capsys, "reproduce", "table1", "--only", "1", "--publish", str(tmp_path / "d"), *FEW)
+    assert code == 2 and "--publish: takes whole experiments" in err and not (tmp_path / "d").exists()
 
 
 @pytest.mark.long
