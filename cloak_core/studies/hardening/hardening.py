@@ -1,9 +1,9 @@
 """Hardening: the detector learns to say of people in cloaks what it said of them without.
 
-A turn: a cloak is attacked further against the detector as it stands (never against a copy that is out of date), then
-the detector learns from new images of it, from the same images without it, from pictures, and from pictures with cloth
-that nobody wears (`decoys`), all by distillation from what it was (`distillation`). So no labels are needed, and what
-nobody attacked is to stay as it was.
+A turn: a new cloak is attacked against the detector as it stands (never against a copy that is out of date), then the
+detector learns from the same images in it and without it, from pictures, and from pictures with cloth that nobody
+wears (`decoys`), all by distillation from what it was (`distillation`). So no labels are needed, and what nobody
+attacked is to stay as it was.
 """
 
 from __future__ import annotations
@@ -138,11 +138,11 @@ class Hardening:
 
     def _one_step(self) -> None:
         self.student.detector.requires_grad_(False)
-        attack = self.pool.attack(self.step)
-        pair, pictures = self.pool.pair(self.step), self.pictures.plain(self.step)
-        parts = self._learn(pair.cloaked, pair.clean, pictures, self.pictures.decoys(self.step))
+        turn, pictures = self.pool.turn(self.step), self.pictures.plain(self.step)
+        parts = self._learn(turn.cloaked, turn.clean, pictures, self.pictures.decoys(self.step))
         self.step += 1
         self._average()
+        attack = turn.attack
         figures = {} if attack is None else {"success": attack.success, "disappearance": attack.disappearance}
         self._tell("step", **parts, **figures)
 
@@ -232,7 +232,7 @@ class Hardening:
             self._load_adam(
                 {n.removeprefix("adam."): v.to(device) for n, v in tensors.items() if n.startswith("adam.")}
             )
-            self.pool.load(found.step, tensors)
+            self.pool.load(tensors)
         except (KeyError, ValueError, RuntimeError) as error:
             raise InputError(f"{self.folder.checkpoint}: is of another detector ({error})") from None
         self.step, self._earlier = found.step, found.time

@@ -15,7 +15,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import harden
-from cloak_core.studies.hardening.pool import FINISH, Pool
+from cloak_core.studies.hardening.pool import FINISH, SLOTS, Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 
@@ -61,7 +61,7 @@ def measure_pace(settings: HardenSettings, student: Student, material: Material)
     Views are rendered anew for each cloak at first, so that the updates tried are rather slow ones.
     """
     before = {name: value.clone() for name, value in student.network.state_dict().items()}
-    few = replace(settings, steps=settings.cloaks + 1 + TRIED, finished=0, max_seconds=None)
+    few = replace(settings, steps=SLOTS + 1 + TRIED, finished=0, max_seconds=None)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tried"
         try:
@@ -73,7 +73,7 @@ def measure_pace(settings: HardenSettings, student: Student, material: Material)
         ends = [event["time"] for event in read_events(out / "events.jsonl") if event["type"] == "step"]
     updates = [later - earlier for earlier, later in itertools.pairwise(ends)][-TRIED:]
     student.detector.requires_grad_(False)
-    cloak = Pool(few, material.bodies, material.backgrounds, student.detector).cloak(1)
+    cloak = Pool(few, material.bodies, material.backgrounds, student.detector).cloak(1, 0)
     steps = []
     for k in range(1 + TRIED):
         started = time.perf_counter()

@@ -1,20 +1,21 @@
-"""The cloaks that a detector is hardened against.
+"""The cloaks that a detector is hardened against, one for each turn, attacked on the images that the turn learns from.
 
-Everything drawn is a function of (seed, turn), so that a hardening that was stopped goes on as if it had not been.
+Cloaks that lived for a hundred turns, and were attacked on other images, hid nobody after fifty: the detector knew each
+of them by then, and any new one of the same length passed. Everything drawn is a function of (seed, turn), so that a
+hardening that was stopped goes on as if it had not been.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.core.batches import Batcher
+from cloak_core.core.batches import Batch, Batcher
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo, make_logo
@@ -49,25 +50,26 @@ SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
 NO_PATTERN: Mapping[str, str | float] = {}
 """Colours of faces, which do not repeat."""
+SLOTS = 6
+"""Cloaks take turns in so many places: each has its own distance and angles, and remembers the colours on its faces."""
 GOES_ON = 0.75
-"""How many new cloaks begin with the colours that earlier ones of their slot ended with on the same faces. A cloak's
-life is short: without this none would ever be strong."""
+"""How many cloaks begin with the colours that earlier ones of their slot ended with on the same faces, so that some are
+stronger than the steps of one turn make them."""
 WHOLE_BODY = 2
 """One cloak in this many covers the whole body, the largest logo that an attacker has. Without this rule the largest of
 200 drawn logos covered four fifths of a body, and the hardened detector fell to a cloak over all of it."""
-FINISH = 240
-"""Steps that train a cloak to its end."""
+FINISH, FINISH_LR = 240, 0.05
+"""Steps that train a cloak to its end, and their first learning rate."""
 KEPT = 32
-"""So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
+"""So many of the last cloaks are shown on decoys, beside those trained to the end."""
 _LOGO, _VIEWS, _CLOTH = 1, 2, 6
 """Streams of random numbers; `pictures` and `hardening` have others."""
 
 
 @dataclass(eq=False)
 class Cloak:
-    """One cloak of the pool."""
+    """One cloak, and what shows it."""
 
-    generation: int
     worn: Worn
     batcher: Batcher
     bare: Batcher
@@ -75,13 +77,6 @@ class Cloak:
     objective: Objective
     optimizer: ColorOptimizer
     flat: FlatCloth
-
-    def update(self, age: int, life: int) -> None:
-        """Follow the gradient, at a learning rate that falls over its life as over a training.
-
-        At a constant rate colours flicker to the end, and smoother cloaks blinded the detector that met only those.
-        """
-        self.optimizer.update(learning_rate(self.optimizer.settings, age, life, epoch=0.0))
 
     @property
     def logo(self) -> Logo:
@@ -98,28 +93,18 @@ class Cloak:
         return self.flat.texture(self.face_colors())
 
 
-class Place(NamedTuple):
-    """Where a turn stands in the pool."""
-
-    slot: int
-    generation: int
-    """Of the slot's cloak."""
-    count: int
-    """How often the slot has had its turn before."""
-    age: int
-    """How many of its `life` turns the cloak has behind it."""
-
-
 @dataclass(frozen=True, eq=False)
-class Pair:
+class Turn:
     """The same images with a cloak and without."""
 
     cloaked: Float[Tensor, "B 3 H W"]
     clean: Float[Tensor, "B 3 H W"]
+    attack: StepFigures | None
+    """Of the last step of the cloak's attack; None without steps."""
 
 
 class Pool:
-    """Cloaks, each on its logo, seen from its own distance and angles; they take turns."""
+    """Makes a turn's cloak, on its logo, seen from the distance and angles of its slot."""
 
     def __init__(
         self,
@@ -139,92 +124,79 @@ class Pool:
         self.view_cache = ViewCache(bodies, rendering)
         self._cloth_views = ViewCache(bodies, rendering, on_cloth=True) if settings.cloths else self.view_cache
         self.centres = face_centres(bodies)
-        self.cloaks: dict[int, Cloak] = {}
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
         """By slot, the last colours that any of its cloaks had on each face."""
         self.finished: list[Texture] = []
-        """Of cloaks that were trained to their end and of those whose life is over, the oldest first."""
-
-    def place(self, turn: int) -> Place:
-        """Find whose turn it is; one slot after the other gets its next cloak."""
-        slot, count = turn % self.settings.cloaks, turn // self.settings.cloaks
-        ahead = slot * self.settings.life // self.settings.cloaks
-        return Place(slot, (count + ahead) // self.settings.life, count, (count + ahead) % self.settings.life)
-
-    def cloak(self, turn: int) -> Cloak:
-        """The cloak whose turn it is: the slot's own, or a new one where its life is over."""
-        slot, generation = self.place(turn)[:2]
-        known = self.cloaks.get(slot)
-        if known is None or known.generation != generation:
-            if known is not None:
-                self._remember(slot, known)
-                first, later = np.split(np.array([*self.finished, known.texture()]), [self.settings.finished])
-                self.finished = [*first, *later[-KEPT:]]
-            self.cloaks[slot] = self._new(slot, generation)
-        return self.cloaks[slot]
+        """Of cloaks that were trained to their end."""
+        self.recent: list[Texture] = []
+        """Of the last turns' cloaks, the oldest first."""
 
     def finish_one(self) -> None:
         """Train one more cloak to its end against the detector as it stands, for decoys alone."""
-        cloak = self._new(self.settings.cloaks + len(self.finished), 0)
+        cloak = self.cloak(SLOTS + len(self.finished), 0)
         for k in range(FINISH):
             gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(k))
-            cloak.update(k, FINISH)
+            # At a constant rate colours flicker to the end.
+            cloak.optimizer.update(learning_rate(cloak.optimizer.settings, k, FINISH, epoch=0.0))
         self.finished.append(cloak.texture())
 
-    def attack(self, turn: int) -> StepFigures | None:
-        """Move the colours against the detector as it stands; figures of the last step, None without steps."""
-        cloak, figures, place = self.cloak(turn), None, self.place(turn)
-        first = place.count * (self.settings.attack_steps + 1)
-        for k in range(self.settings.attack_steps):
-            figures = gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(first + k)).figures
-            cloak.update(place.age, self.settings.life)
-        return figures
-
-    @torch.no_grad()
-    def pair(self, turn: int) -> Pair:
-        """New images of the cloak whose turn it is.
+    def turn(self, turn: int) -> Turn:
+        """Make images of a new cloak, and move its colours against the detector as it stands, on these images.
 
         Clean ones show the body in its clothes, without changes of colour, and a photograph as it is.
         """
-        cloak = self.cloak(turn)
-        step = self.place(turn).count * (self.settings.attack_steps + 1) + self.settings.attack_steps
-        batch = cloak.batcher.batch(step)
+        slot, generation = turn % SLOTS, turn // SLOTS
+        cloak = self.cloak(slot, generation)
+        batch, figures = cloak.batcher.batch(generation), None
+        for _ in range(self.settings.attack_steps):
+            figures = gradient_step(cloak.objective, cloak.optimizer, batch).figures
+            cloak.optimizer.update(self.settings.attack_lr)
+        with torch.no_grad():
+            # What is composed next draws into the same memory.
+            cloaked = batch.images(cloak.optimizer.colors()).clone()
+            clean = self._clean(cloak, batch if cloak.bare is cloak.batcher else cloak.bare.batch(generation), turn)
+        self._remember(slot, cloak)
+        return Turn(cloaked, clean, figures)
+
+    def _clean(self, cloak: Cloak, bare: Batch, turn: int) -> Float[Tensor, "B 3 H W"]:
         outfit = self.bodies.face_colors[turn % self.bodies.outfit_count]
         clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
-        # The second call draws into the memory of the first.
-        cloaked = batch.images(cloak.optimizer.colors()).clone()
-        bare = batch if cloak.bare is cloak.batcher else cloak.bare.batch(step)
         clean = replace(bare, on_logo=None).images(clothing).clone()
-        draws = cloak.bare.sampler.draw(step)
+        draws = cloak.bare.sampler.draw(turn // SLOTS)
         for image, (shown, seed) in zip(clean, draws.views(), strict=True):
             view = cloak.bare.source.undressed(shown, seed)
             if view is not None:
                 image.copy_(compose([view.to(self.device)], clothing, torch.zeros_like(image)[None])[0])
-        return Pair(cloaked, clean)
+        return clean
+
+    @torch.no_grad()
+    def _remember(self, slot: int, cloak: Cloak) -> None:
+        skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
+        colors = torch.from_numpy(cloak.face_colors()).to(self.device)
+        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = colors
+        self.recent = [*self.recent, cloak.texture()][-KEPT:]
 
     def state(self) -> dict[str, Tensor]:
-        """For a checkpoint; which logo a cloak has follows from the turn."""
+        """For a checkpoint."""
         kept = {f"skin.{slot}": skin for slot, skin in self.skins.items()}
-        kept |= {f"finished.{k:03d}": torch.from_numpy(texture) for k, texture in enumerate(self.finished)}
-        return kept | {
-            f"cloak.{slot}.{name}": value
-            for slot, cloak in self.cloaks.items()
-            for name, value in cloak.optimizer.state().items()
-        }
+        for name, textures in (("finished", self.finished), ("recent", self.recent)):
+            kept |= {f"{name}.{k:03d}": torch.from_numpy(texture) for k, texture in enumerate(textures)}
+        return kept
 
-    def load(self, turn: int, tensors: dict[str, Tensor]) -> None:
-        """Go on before this turn, from `state()`."""
-        skins = {name.removeprefix("skin."): value for name, value in tensors.items() if name.startswith("skin.")}
-        self.skins = {int(slot): skin.to(self.device) for slot, skin in skins.items()}
-        finished = [tensors[name].cpu().numpy() for name in sorted(tensors) if name.startswith("finished.")]
-        for earlier in range(max(0, turn - self.settings.cloaks), turn):
-            slot = self.place(earlier).slot
-            mark = f"cloak.{slot}."
-            own = {name.removeprefix(mark): value for name, value in tensors.items() if name.startswith(mark)}
-            self.cloak(earlier).optimizer.load({name: value.to(self.device) for name, value in own.items()})
-        self.finished = finished
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Go on from `state()`."""
 
-    def _new(self, slot: int, generation: int) -> Cloak:
+        def of(kind: str) -> dict[str, Tensor]:
+            mark = f"{kind}."
+            return {name.removeprefix(mark): tensors[name] for name in sorted(tensors) if name.startswith(mark)}
+
+        self.skins = {int(slot): skin.to(self.device) for slot, skin in of("skin").items()}
+        self.finished, self.recent = (
+            [one.cpu().numpy() for one in of(kind).values()] for kind in ("finished", "recent")
+        )
+
+    def cloak(self, slot: int, generation: int) -> Cloak:
+        """Make a slot's next cloak."""
         rng = np.random.default_rng([self.settings.seed, _LOGO, slot, generation])
         cloth = np.random.default_rng([self.settings.seed, _CLOTH, slot, generation])
         pattern: dict[str, str | float] = {}
@@ -240,7 +212,6 @@ class Pool:
         colors = first_cloth(worn, cloth) if pattern else colors
         batcher = self._batcher(settings, worn)
         return Cloak(
-            generation,
             worn,
             batcher,
             self._batcher(settings, Worn(self.bodies, logo)) if pattern else batcher,
@@ -260,13 +231,6 @@ class Pool:
         sampler = Sampler(settings, source, len(self.backgrounds))
         return Batcher(settings, sampler, self.backgrounds, worn, self.device)
 
-    @torch.no_grad()
-    def _remember(self, slot: int, cloak: Cloak) -> None:
-        skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
-        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = torch.from_numpy(cloak.face_colors()).to(
-            self.device
-        )
-
     def _train_settings(self, slot: int, pattern: Mapping[str, str | float] = NO_PATTERN) -> TrainSettings:
         rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])
         whole, turn = AROUND if slot % 2 else 0, rng.integers(360)
@@ -279,7 +243,7 @@ class Pool:
             steps=10_000_000,
             batch=self.settings.batch,
             seed=self.settings.seed + slot,
-            lr=self.settings.attack_lr,
+            lr=FINISH_LR,
             hide=self.settings.hide,
             size=self.settings.size,
             translation=self.settings.size // 8,

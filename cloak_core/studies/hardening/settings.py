@@ -37,25 +37,18 @@ class HardenSettings:
     which the detector is to say what it said without the cloth."""
     finished: Annotated[int, Bounds(0, 256)] = 4
     """Cloaks that are trained against the unhardened detector before its first update, for such cloth alone: those of
-    the pool are young at first, and a strong cloak on nobody looks otherwise."""
+    the updates are young, and a strong cloak on nobody looks otherwise."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
-    cloaks: Annotated[int, Bounds(1, 256)] = 6
-    """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own. Every
-    second one covers the whole body, the others random parts of it."""
-    life: Annotated[int, Bounds(1, 100_000)] = 128
-    """Turns after which a cloak makes room for a new one, on another logo and from other colours. A cloak is updated
-    attack_steps times a turn. With a short life it stays weak, and the detector learns to withstand only weak ones."""
-    attack_steps: Annotated[int, Bounds(0, 1000)] = 3
-    """Steps of a cloak against the detector as it stands, before each update."""
+    attack_steps: Annotated[int, Bounds(0, 1000)] = 6
+    """Steps of an update's cloak against the detector as it stands, on the images that the update learns from."""
     cloths: Annotated[float, Bounds(0, 1)] = 0.0
     """Share of the new cloaks that are a cloth that repeats every 20 to 55 cm, as published textures do. It begins as a
     plain print or a random pattern."""
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
-    attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.05
-    """Their learning rate (Adam) when they are new, in units of colour; over a life it falls like that of preset best.
-    0.1 is too much: colours flicker, and after 60 steps nothing was hidden where 0.03 to 0.05 hid more than 0.8."""
+    attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.1
+    """Their learning rate (Adam), in units of colour."""
     lr: Annotated[float, Bounds(0, 1, "()")] = 1e-3
     """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0, and for the last fifth of
     the updates another from half the height."""

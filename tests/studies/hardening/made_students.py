@@ -13,8 +13,6 @@ FEW = {
     "batch": 2,
     "pictures": 1,
     "decoys": 1,
-    "cloaks": 2,
-    "life": 2,
     "attack_steps": 1,
     "finished": 0,
     "size": 64,

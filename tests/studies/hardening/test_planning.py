@@ -24,7 +24,7 @@ from cloak_core.studies.hardening.students import open_student
 from tests.core.fakes import box_bodies, noise_backgrounds
 from tests.detectors.helpers import write_tiny
 
-FEW = {"batch": 2, "pictures": 1, "decoys": 1, "cloaks": 2, "life": 2, "attack_steps": 1, "size": 64}
+FEW = {"batch": 2, "pictures": 1, "decoys": 1, "attack_steps": 1, "size": 64}
 
 
 def test_a_plan_fills_its_hours_and_keeps_first_cloaks_to_a_fifth() -> None:

@@ -1,4 +1,4 @@
-"""The cloaks that a hardening meets: where they lie, how they are attacked, how long they live."""
+"""The cloaks that a hardening meets: where they lie, how they are attacked, what stays of them."""
 
 import itertools
 from dataclasses import replace
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.core.batches import Batch
 from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.core.logo import region_mask
-from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.objective import Step, gradient_step
 from cloak_core.core.paint import compose
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
@@ -23,7 +24,7 @@ from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import Hardening, harden
 from cloak_core.studies.hardening.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
-from cloak_core.studies.hardening.pool import Pool
+from cloak_core.studies.hardening.pool import SLOTS, Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
@@ -33,24 +34,34 @@ from tests.sources.photographs.made_people import write_people
 from tests.studies.hardening.made_students import FEW, hardened
 
 
-def test_an_attack_moves_the_colours_of_the_cloak_whose_turn_it_is(
+def _pool(student: Student, **changes: object) -> Pool:
+    return Pool(HardenSettings(**(FEW | changes)), box_bodies(), noise_backgrounds(), student.detector)
+
+
+def test_a_turns_cloak_is_attacked_on_the_images_that_are_learned_from(
     student: Student, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cloak_core.studies.hardening.pool.draw_logo", lambda bodies, rng: front_logo(bodies).face_ids)
-    settings = HardenSettings(**(FEW | {"attack_steps": 2}))
-    pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
-    first, second = pool.cloak(0), pool.cloak(1)
-    before = [cloak.optimizer.colors().detach().clone() for cloak in (first, second)]
-    assert pool.attack(0) is not None
-    assert not torch.equal(first.optimizer.colors(), before[0])
-    assert torch.equal(second.optimizer.colors(), before[1])
+    steps = []
+
+    def recorded(objective: object, optimizer: object, batch: Batch) -> Step:
+        step = gradient_step(objective, optimizer, batch)
+        steps.append((batch, step))
+        return step
+
+    monkeypatch.setattr("cloak_core.studies.hardening.pool.gradient_step", recorded)
+    turns = [_pool(student, attack_steps=count).turn(0) for count in (0, 4)]
+    assert torch.equal(turns[0].clean, turns[1].clean) and not torch.equal(turns[0].cloaked, turns[1].cloaked)
+    assert turns[0].attack is None and turns[1].attack == steps[-1][1].figures
+    assert len(steps) == 4 and len({id(batch) for batch, _ in steps}) == 1
+    assert torch.equal(steps[0][1].images, turns[0].cloaked)
+    assert steps[-1][1].figures.loss < steps[0][1].figures.loss
 
 
-def test_a_pair_differs_where_the_logo_is(student: Student) -> None:
+def test_a_turns_images_differ_where_the_logo_is(student: Student) -> None:
     pool = Pool(HardenSettings(**FEW), box_bodies(), noise_backgrounds(), student.detector)
-    pair = pool.pair(0)
-    apart = (pair.cloaked - pair.clean).abs().amax((1, 2, 3))
-    assert pair.cloaked.shape == (2, 3, 64, 64)
+    turn = pool.turn(0)
+    apart = (turn.cloaked - turn.clean).abs().amax((1, 2, 3))
+    assert turn.cloaked.shape == (2, 3, 64, 64)
     assert float(apart.max()) > 0.05
     assert Pictures(pool, None, student.detector).plain(0).shape == (1, 3, 64, 64)
 
@@ -63,8 +74,8 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
     fits, bodies = fit_people(people), sample_bodies("train")
     settings = HardenSettings(**(FEW | {"batch": 4, "people_share": 1.0, "size": 96}))
     pool = Pool(settings, bodies, noise_backgrounds(), student.detector, people=fits)
-    pair, cloak = pool.pair(0), pool.cloak(0)
-    draws = cloak.batcher.sampler.draw(settings.attack_steps)
+    pair, cloak = pool.turn(0), pool.cloak(0, 0)
+    draws = cloak.batcher.sampler.draw(0)
     nothing = torch.zeros(len(cloak.logo), 3)
     for image, (shown, seed) in zip(pair.clean, draws.views(), strict=True):
         photograph = compose([cloak.batcher.source.undressed(shown, seed)], nothing, torch.zeros(1, 3, 96, 96))
@@ -79,33 +90,11 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
         harden(few, student, replace(material, people=None), tmp_path / "out", resume=True)
 
 
-def test_cloaks_die_one_after_the_other(student: Student) -> None:
-    settings = HardenSettings(**(FEW | {"cloaks": 4, "life": 4}))
-    pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
-    generations = [pool.place(turn)[1] for turn in range(32)]
-    rounds = [generations[turn : turn + 4] for turn in range(0, 32, 4)]
-    changes = [sum(a != b for a, b in zip(*pair, strict=True)) for pair in itertools.pairwise(rounds)]
-    assert changes == [1] * 7
-
-
-@pytest.mark.slow
-def test_a_cloaks_learning_rate_falls_over_its_life(student: Student, monkeypatch: pytest.MonkeyPatch) -> None:
-    rates = []
-    monkeypatch.setattr(ColorOptimizer, "update", lambda _, rate: rates.append(rate))
-    pool = Pool(HardenSettings(**(FEW | {"cloaks": 1, "life": 3})), box_bodies(), noise_backgrounds(), student.detector)
-    for turn in range(6):
-        pool.attack(turn)
-    first, second = rates[:3], rates[3:]
-    assert first[0] == pool.settings.attack_lr > first[1] > first[2] > 0 and first == second
-    pool.finish_one()
-    assert rates[6] == pool.settings.attack_lr and rates[-1] < 0.02 * rates[6]
-
-
-def test_each_slot_in_turn_has_a_cloak_over_the_whole_body(student: Student) -> None:
-    pool = Pool(HardenSettings(**(FEW | {"cloaks": 4})), box_bodies(), noise_backgrounds(), student.detector)
-    for generation in range(8):
-        whole = [slot for slot in range(4) if len(pool._new(slot, generation).logo) == box_bodies().face_count]
-        assert (3 - generation) % 4 in whole
+def test_every_second_cloak_of_a_slot_covers_the_whole_body(student: Student) -> None:
+    pool = Pool(HardenSettings(**FEW), box_bodies(), noise_backgrounds(), student.detector)
+    for generation in range(4):
+        whole = [slot for slot in range(SLOTS) if len(pool.cloak(slot, generation).logo) == box_bodies().face_count]
+        assert set(range(1 - generation % 2, SLOTS, 2)) <= set(whole)
 
 
 def test_every_other_cloak_is_seen_from_one_side(student: Student) -> None:
@@ -145,40 +134,36 @@ def test_a_new_cloak_goes_on_where_the_slots_earlier_one_ended(
     monkeypatch.setattr("cloak_core.studies.hardening.pool.draw_logo", lambda bodies, rng: front_logo(bodies).face_ids)
     monkeypatch.setattr("cloak_core.studies.hardening.pool.GOES_ON", 1.0)
     monkeypatch.setattr("cloak_core.studies.hardening.pool.WHOLE_BODY", 100)
-    pool = Pool(HardenSettings(**(FEW | {"cloaks": 1})), box_bodies(), noise_backgrounds(), student.detector)
-    first = pool.cloak(0)
-    pool.attack(0)
-    ended, second = first.optimizer.colors().detach().clone(), pool.cloak(2)
-    assert second is not first
-    assert torch.equal(second.optimizer.colors(), ended)
-    again = Pool(HardenSettings(**(FEW | {"cloaks": 1})), box_bodies(), noise_backgrounds(), student.detector)
-    again.load(3, pool.state())
-    assert torch.equal(again.skins[0], pool.skins[0])
+    pool = _pool(student)
+    begun = pool.cloak(0, 0).optimizer.colors()
+    pool.turn(0)
+    goes_on = pool.cloak(0, 1)
+    assert not torch.equal(goes_on.optimizer.colors(), begun)
+    assert torch.equal(goes_on.optimizer.colors(), pool.skins[0][goes_on.logo.face_ids])
+    again = _pool(student)
+    again.load(pool.state())
+    assert torch.equal(again.cloak(0, 1).optimizer.colors(), goes_on.optimizer.colors())
 
 
-def test_decoys_show_cloaks_that_were_trained_to_their_end_and_those_whose_life_is_over(
+def test_decoys_show_cloaks_that_were_trained_to_their_end_and_the_last_ones(
     student: Student, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cloak_core.studies.hardening.pool.FINISH", 3)
-    monkeypatch.setattr("cloak_core.studies.hardening.pool.KEPT", 1)
-    settings = HardenSettings(**(FEW | {"cloaks": 1, "finished": 2}))
-    pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
+    monkeypatch.setattr("cloak_core.studies.hardening.pool.KEPT", 2)
+    pool = _pool(student)
     pictures = Pictures(pool, None, student.detector)
     shown = lambda: {texture.tobytes() for texture in itertools.islice(pictures.textures(np.random.default_rng(0)), 40)}
     pool.finish_one()
     pool.finish_one()
-    trained = [texture.tobytes() for texture in pool.finished]
-    assert len(set(trained)) == 2 and set(trained) & shown()
-    assert not pool.skins  # they are for decoys alone: no cloak of the pool goes on from them
-    ends = []
+    trained = {texture.tobytes() for texture in pool.finished}
+    assert len(trained) == 2 and trained & shown()
+    assert not pool.skins and not pool.recent, "they are for decoys alone: no turn's cloak goes on from them"
     for turn in range(6):
-        pool.attack(turn)
-        ends.append(pool.cloak(turn).flat.texture(pool.cloak(turn).optimizer.colors().detach().numpy()).tobytes())
-    # Lives are of two turns. What was trained to the end stays, and of the others the last whose life is over.
-    assert [texture.tobytes() for texture in pool.finished] == [*trained, ends[3]]
-    again = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
-    again.load(6, pool.state())
-    assert [texture.tobytes() for texture in again.finished] == [*trained, ends[3]]
+        pool.turn(turn)
+    recent = {texture.tobytes() for texture in pool.recent}
+    assert len(recent) == 2 and recent & shown() and trained & shown()
+    again = _pool(student)
+    again.load(pool.state())
     resumed = Pictures(again, None, student.detector)
     assert torch.equal(pictures.decoys(6).shown, resumed.decoys(6).shown)
 
@@ -207,20 +192,12 @@ def test_cloths_that_repeat_are_among_the_cloaks_beside_the_same_clean_images(st
         Pool(one, box_bodies(), noise_backgrounds(), student.detector)
         for one in (settings, replace(settings, cloths=0.0))
     )
-    cloak = pool.cloak(0)
-    assert 0.2 <= cloak.worn.cloth.cloth.metres <= 0.55 and plain.cloak(0).worn.cloth is None
-    pair, other = pool.pair(0), plain.pair(0)
-    assert torch.equal(pair.clean, other.clean) and not torch.equal(pair.cloaked, other.cloaked)
-    before = cloak.optimizer.colors().detach().clone()
-    pool.attack(0)
-    assert not torch.equal(cloak.optimizer.colors(), before)
+    cloak = pool.cloak(0, 0)
+    assert 0.2 <= cloak.worn.cloth.cloth.metres <= 0.55 and plain.cloak(0, 0).worn.cloth is None
+    turn, other = pool.turn(0), plain.turn(0)
+    assert torch.equal(turn.clean, other.clean) and not torch.equal(turn.cloaked, other.cloaked)
     assert cloak.face_colors().shape == (len(cloak.logo), 3) and cloak.texture().shape == (3, TEXTURE, TEXTURE)
-    again = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
-    again.load(1, pool.state())
-    assert torch.equal(again.cloak(0).optimizer.colors(), cloak.optimizer.colors())
-    for turn in range(1, 5):  # a life is over: the faces remember what lay on them
-        pool.attack(turn)
-    assert pool.skins[0].shape == (box_bodies().face_count, 3)
+    assert pool.skins[0].shape == (box_bodies().face_count, 3), "faces remember what lay on them"
 
 
 def test_a_perturbation_moves_images_in_cloaks_within_its_bound_and_nothing_else(
