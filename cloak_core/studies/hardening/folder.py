@@ -25,8 +25,8 @@ from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.trainings.run_record import environment
 
-FORMAT, EARLIER = "cloak hardening 2", "cloak hardening 1"
-"""EARLIER drew other cloaks, with which its checkpoints do not go on."""
+FORMAT, EARLIER = "cloak hardening 3", ("cloak hardening 1", "cloak hardening 2")
+"""EARLIER drew other cloaks, with which their checkpoints do not go on."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""
 
@@ -97,7 +97,7 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
 
 
 def _check(recorded: dict, config: dict, path: Path) -> None:
-    if recorded.get("format") == EARLIER:
+    if recorded.get("format") in EARLIER:
         raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin in another --out")
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")

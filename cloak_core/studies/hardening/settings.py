@@ -25,9 +25,9 @@ class HardenSettings:
     cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
     """How much an image in a cloak counts beside one without and a picture in the last fifth of the updates; before it
     counts 1. More makes the detector more robust, less keeps more of its answers without cloaks."""
-    perturbation: Annotated[float, Bounds(0, 0.5)] = 0.0
-    """Beside its cloak, how far each pixel of an image may be moved (l-infinity norm), in units of colour; 4/255 is
-    0.0157. 0: not at all."""
+    perturbation: Annotated[float, Bounds(0, 0.5)] = 0.0157
+    """Beside its cloak, how far each pixel of an image may be moved (l-infinity norm), in units of colour; 0.0157 is
+    4/255. 0: not at all."""
     replays: Annotated[int, Bounds(1, 100)] = 2
     """Updates of the detector on a turn's images where they are perturbed, each along the slope of the one before."""
     pictures: Annotated[int, Bounds(0, 4096)] = 3
@@ -42,7 +42,7 @@ class HardenSettings:
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 6
     """Steps of an update's cloak against the detector as it stands, on the images that the update learns from."""
-    cloths: Annotated[float, Bounds(0, 1)] = 0.0
+    cloths: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the new cloaks that are a cloth that repeats every 20 to 55 cm, as published textures do. It begins as a
     plain print or a random pattern."""
     hide: Hide = "person"

@@ -83,10 +83,13 @@ def test_a_folder_that_is_there_is_not_taken_for_another(
         hardened(student, tmp_path / "out", **({"steps": 1} | changes))
 
 
-def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(student: Student, tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(
+    student: Student, tmp_path: Path, version: int
+) -> None:
     hardened(student, tmp_path / "out", steps=1)
     config = json.loads((tmp_path / "out" / "config.json").read_text())
-    (tmp_path / "out" / "config.json").write_text(json.dumps(config | {"format": "cloak hardening 1"}))
+    (tmp_path / "out" / "config.json").write_text(json.dumps(config | {"format": f"cloak hardening {version}"}))
     with pytest.raises(InputError, match="earlier version, which drew other cloaks; begin in another --out"):
         hardened(student, tmp_path / "out", resume=True, steps=1)
 

@@ -45,16 +45,17 @@ def test_a_turns_cloak_is_attacked_on_the_images_that_are_learned_from(
 
     def recorded(objective: object, optimizer: object, batch: Batch) -> Step:
         step = gradient_step(objective, optimizer, batch)
-        steps.append((batch, step))
+        steps.append((batch, step.images.clone(), step.figures))
         return step
 
     monkeypatch.setattr("cloak_core.studies.hardening.pool.gradient_step", recorded)
+    monkeypatch.setattr("cloak_core.studies.hardening.pool.draw_logo", lambda bodies, rng: front_logo(bodies).face_ids)
     turns = [_pool(student, attack_steps=count).turn(0) for count in (0, 4)]
     assert torch.equal(turns[0].clean, turns[1].clean) and not torch.equal(turns[0].cloaked, turns[1].cloaked)
-    assert turns[0].attack is None and turns[1].attack == steps[-1][1].figures
-    assert len(steps) == 4 and len({id(batch) for batch, _ in steps}) == 1
-    assert torch.equal(steps[0][1].images, turns[0].cloaked)
-    assert steps[-1][1].figures.loss < steps[0][1].figures.loss
+    assert len(steps) == 4 and len({id(batch) for batch, *_ in steps}) == 1
+    (_, first, before), (*_, after) = steps[0], steps[-1]
+    assert torch.equal(first, turns[0].cloaked)
+    assert turns[0].attack is None and turns[1].attack == after and after.loss < before.loss
 
 
 def test_a_turns_images_differ_where_the_logo_is(student: Student) -> None:
@@ -211,7 +212,7 @@ def test_a_perturbation_moves_images_in_cloaks_within_its_bound_and_nothing_else
 
     monkeypatch.setattr(Hardening, "_update", recorded)
     spec = write_tiny(tmp_path)
-    hardened(open_student(spec), tmp_path / "plain", steps=1)
+    hardened(open_student(spec), tmp_path / "plain", steps=1, perturbation=0.0)
     hardened(open_student(spec), tmp_path / "moved", steps=1, perturbation=0.02, replays=3)
     plain, *moved = seen
     assert len(moved) == 3
