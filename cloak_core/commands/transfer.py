@@ -196,7 +196,12 @@ class Transfer(Splitting, Detecting, Sharing):
 
     def following(self, result: dict) -> tuple[str, ...]:
         named = [word for spec in self.detector for word in ("--detector", spec)]
-        return ("train", "--preset", "transfer", "--logo", "chest+thighs", *named, "--out", "runs/transfer")
+        if self.people:
+            beside = () if self.images is None else ("--images", str(self.images))
+            worn = ("--preset", "photographs", "--people", self.people, *beside, "--logo", "shirt+trousers")
+        else:
+            worn = ("--preset", "transfer", "--logo", "chest+thighs")
+        return ("train", *worn, *named, "--out", "runs/transfer")
 
 
 def _table(ablation: str, summary: dict) -> Table:

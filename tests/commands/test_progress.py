@@ -1,5 +1,6 @@
 """What long commands tell a program about how far they are."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from cloak_core.cli import load
 from cloak_core.commands.progress import TrainingProgress, counted
 from cloak_core.commands.train import Train
+from cloak_core.commands.transfer import Transfer
 from cloak_core.core.events import read_events
 from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
@@ -104,6 +106,19 @@ def test_who_trained_on_people_is_told_to_judge_on_others(trained_on, others):
     command = Train.of(make_settings("photographs"), logo=Path("logo.npy"), out=Path("run"), people=trained_on)
     assert command.following({"out": "run"}) == ("evaluate", "run", "--people", others)
     assert ("not trained on" in command.next_why) == (others == "OTHERS.json")
+
+
+def test_who_filled_a_matrix_on_people_is_told_to_train_on_people():
+    command = Transfer(detector=("builtin",), out=Path("matrix"), people="people.json", images=Path("photos"))
+    said = " ".join(command.following({}))
+    assert "--preset photographs --people people.json --images photos --logo shirt+trousers" in said
+    assert replace(command, people=None).following({})[:5] == (
+        "train",
+        "--preset",
+        "transfer",
+        "--logo",
+        "chest+thighs",
+    )
 
 
 LONG = ("train", "evaluate", "wear", "assess", "harden", "sweep", "transfer", "reproduce", "film", "demo")

@@ -24,6 +24,7 @@ class DarknetStudent(Student):
     """The built-in detector or any .cfg and .weights."""
 
     files = (".cfg", ".weights")
+    lr = 1e-3
     detector: DarknetDetector
     teacher: DarknetDetector
 

@@ -70,6 +70,8 @@ def harden(
     there.
     InputError: `out` exists without `resume`, or was begun with something else.
     """
+    if settings.lr is None:
+        settings = dataclasses.replace(settings, lr=student.lr)
     fits = [] if material.people is None else fit_people(material.people)
     pool = Pool(settings, material.bodies, material.backgrounds, student.detector, fits)
     pictures = Pictures(pool, material.photographs, student.teacher)

@@ -49,9 +49,9 @@ class HardenSettings:
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
     attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.1
     """Their learning rate (Adam), in units of colour."""
-    lr: Annotated[float, Bounds(0, 1, "()")] = 1e-3
+    lr: Annotated[float | None, Bounds(0, 1, "()")] = None
     """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0, and for the last fifth of
-    the updates another from half the height."""
+    the updates another from half the height. None: 1e-3 for the built-in detector and Darknet's, 1e-4 for others."""
     sure: Annotated[float, Bounds(0, 1, "[)")] = 0.9
     """Where the unhardened detector reports the rendered person, it is to be at least so sure; 0: as sure as it was."""
     average: Annotated[float, Bounds(0, 1, "[)")] = 0.99

@@ -15,6 +15,7 @@ from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.studies.hardening.hardening import rate
+from cloak_core.studies.hardening.onnx_student import OnnxStudent
 from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import NAME, Student
@@ -204,3 +205,11 @@ def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_pa
     assert again.precision == "float32"
     assert all(p.dtype == torch.float32 and bool(p.isfinite().all()) for p in again.parameters())
     assert not torch.equal(again(images(1)).scores, load_detector(student.spec)(images(1)).scores)
+
+
+def test_the_record_says_the_learning_rate_of_the_family(student: Student, tmp_path: Path) -> None:
+    for name, lr, said in (("own", None, 1e-3), ("asked", 2e-4, 2e-4)):
+        hardened(student, tmp_path / name, steps=1, lr=lr)
+        assert json.loads((tmp_path / name / "config.json").read_text())["settings"]["lr"] == said
+        hardened(open_student(student.spec), tmp_path / name, steps=1, lr=lr, resume=True)
+    assert OnnxStudent.lr == 1e-4
