@@ -34,7 +34,7 @@ def test_the_loss_is_least_for_what_the_mask_says() -> None:
 @pytest.mark.slow
 def test_what_is_written_loads_and_says_what_it_is_worth(tmp_path: Path) -> None:
     path = tmp_path / "own.safetensors"
-    result = train_segmenter(path, steps=1, batch=2, judged=1, cloaks=1)
+    result = train_segmenter(path, steps=1, batch=2, judged=1)
     assert 0 <= result["found"] <= 1 and 0 <= result["clean"] <= 1
     network = load_segmenter(path)
     assert isinstance(network, PatchSegmenter) and not network.training

@@ -31,13 +31,15 @@ from cloak_core.studies.hardening.settings import HardenSettings
 OnEvent = Callable[[dict], None]
 SHOWN = 0.2
 """A pixel belongs to a cloak where white cloth would be so much brighter than black; light alone is 0.5."""
+ATTACK_STEPS = 2
+"""Of each cloak; a segmenter is to know them at any strength."""
 _PATCHES, _OUTFITS = 11, 12
 """Streams of random numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SegmenterSettings:
-    """How to train the patch segmenter. The weights that come with Cloak are those of 320 steps."""
+    """How to train the patch segmenter. The weights that come with Cloak are of 320 steps, on cloaks that lived ten."""
 
     steps: int = 600
     """Updates."""
@@ -45,10 +47,6 @@ class SegmenterSettings:
     """Images in cloaks an update; half as many in own clothes beside them."""
     learning_rate: float = 3e-3
     """Of AdamW, at its height; one cycle."""
-    cloaks: int = 12
-    """Cloaks that take turns."""
-    life: int = 10
-    """Turns after which a cloak makes room for a new one; before each it is attacked one step further."""
     patched: float = 0.3
     """Share of the images with a rectangle of noise on them."""
     judged: int = 10
@@ -61,9 +59,7 @@ class Shown:
 
     def __init__(self, settings: SegmenterSettings, kept_back: bool = False) -> None:
         which, places = ("unseen", "procedural:test") if kept_back else ("train", "procedural:train")
-        pool = HardenSettings(
-            batch=settings.batch, cloaks=settings.cloaks, life=settings.life, attack_steps=1, attack_lr=0.15, size=SIDE
-        )
+        pool = HardenSettings(batch=settings.batch, cloths=0.0, attack_steps=ATTACK_STEPS, size=SIDE)
         self.settings, self.stream = replace(settings, seed=settings.seed + kept_back), int(kept_back)
         self.bodies = sample_bodies(which)
         pool = replace(pool, seed=self.settings.seed)
@@ -71,10 +67,9 @@ class Shown:
 
     def batch(self, turn: int) -> tuple[Float[Tensor, "N 3 S S"], Bool[Tensor, "N 1 S S"]]:
         """Images in cloaks, then half as many in own clothes, with their masks; a function of seed and turn."""
-        self.pool.attack(turn)
+        met = self.pool.turn(turn)
         with torch.no_grad():
-            cloak = self.pool.cloak(turn)
-            batch = replace(cloak.batcher.batch(turn), on_logo=None)
+            cloak, batch = met.cloak, replace(met.batch, on_logo=None)
             colors = cloak.optimizer.colors()
             mask = batch.images(torch.ones_like(colors)).clone() - batch.images(torch.zeros_like(colors)) > SHOWN
             cloaked = batch.images(colors).clone()

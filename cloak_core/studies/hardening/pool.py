@@ -101,6 +101,10 @@ class Turn:
     clean: Float[Tensor, "B 3 H W"]
     attack: StepFigures | None
     """Of the last step of the cloak's attack; None without steps."""
+    cloak: Cloak
+    """As the attack left it."""
+    batch: Batch
+    """Shows it, in any colours."""
 
 
 class Pool:
@@ -156,7 +160,7 @@ class Pool:
             cloaked = batch.images(cloak.optimizer.colors()).clone()
             clean = self._clean(cloak, batch if cloak.bare is cloak.batcher else cloak.bare.batch(generation), turn)
         self._remember(slot, cloak)
-        return Turn(cloaked, clean, figures)
+        return Turn(cloaked, clean, figures, cloak, batch)
 
     def _clean(self, cloak: Cloak, bare: Batch, turn: int) -> Float[Tensor, "B 3 H W"]:
         outfit = self.bodies.face_colors[turn % self.bodies.outfit_count]
