@@ -51,7 +51,7 @@ SAMPLES = 4
 NO_PATTERN: Mapping[str, str | float] = {}
 """Colours of faces, which do not repeat."""
 SLOTS = 6
-"""Cloaks take turns in so many places: each has its own distance and angles, and remembers the colours on its faces."""
+"""Turns go round so many slots. Each has its own distance and angles, and keeps the last colours of every face."""
 GOES_ON = 0.75
 """How many cloaks begin with the colours that earlier ones of their slot ended with on the same faces, so that some are
 stronger than the steps of one turn make them."""
@@ -127,7 +127,7 @@ class Pool:
         rendering = RenderSettings(device=self.device, samples=SAMPLES, memory_bytes=room)
         self.view_cache = ViewCache(bodies, rendering)
         self._cloth_views = ViewCache(bodies, rendering, on_cloth=True) if settings.cloths else self.view_cache
-        self.centres = face_centres(bodies)
+        self.centres, self.normals = face_centres(bodies), face_normals(bodies)
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
         """By slot, the last colours that any of its cloaks had on each face."""
         self.finished: list[Texture] = []
@@ -176,9 +176,9 @@ class Pool:
     @torch.no_grad()
     def _remember(self, slot: int, cloak: Cloak) -> None:
         skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
-        colors = torch.from_numpy(cloak.face_colors()).to(self.device)
-        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = colors
-        self.recent = [*self.recent, cloak.texture()][-KEPT:]
+        colors = cloak.face_colors()
+        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = torch.from_numpy(colors).to(self.device)
+        self.recent = [*self.recent, cloak.flat.texture(colors)][-KEPT:]
 
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint."""
@@ -221,7 +221,7 @@ class Pool:
             self._batcher(settings, Worn(self.bodies, logo)) if pattern else batcher,
             Objective(settings, worn.bordered, [self.detector], self.device),
             ColorOptimizer(settings.optimization, torch.from_numpy(np.array(colors, np.float32)).to(self.device)),
-            FlatCloth(self.centres[logo.face_ids], face_normals(self.bodies)[logo.face_ids]),
+            FlatCloth(self.centres[logo.face_ids], self.normals[logo.face_ids]),
         )
 
     def _batcher(self, settings: TrainSettings, worn: Worn) -> Batcher:

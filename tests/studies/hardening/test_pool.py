@@ -13,6 +13,7 @@ from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.core.logo import region_mask
 from cloak_core.core.objective import Step, gradient_step
+from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.paint import compose
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
@@ -24,7 +25,7 @@ from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import Hardening, harden
 from cloak_core.studies.hardening.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
-from cloak_core.studies.hardening.pool import SLOTS, Pool
+from cloak_core.studies.hardening.pool import FINISH_LR, SLOTS, Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
@@ -89,6 +90,15 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
     assert harden(few, student, material, tmp_path / "out").step == 2
     with pytest.raises(InputError, match="begun with other people"):
         harden(few, student, replace(material, people=None), tmp_path / "out", resume=True)
+
+
+def test_a_cloak_that_is_trained_to_its_end_has_a_learning_rate_that_falls(
+    student: Student, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates = []
+    monkeypatch.setattr(ColorOptimizer, "update", lambda _, rate: rates.append(rate))
+    _pool(student).finish_one()
+    assert rates[0] == FINISH_LR and rates[-1] < 0.02 * rates[0] and rates == sorted(rates, reverse=True)
 
 
 def test_every_second_cloak_of_a_slot_covers_the_whole_body(student: Student) -> None:
