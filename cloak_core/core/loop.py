@@ -190,13 +190,7 @@ class TrainingLoop:
 
     def _gradient(self, batch: Batch, part: float) -> Step:
         """Leave the gradient of a batch in the optimizer. `part`: this process's fraction of the batch's images."""
-        step = gradient_step(self.objective, self.optimizer, batch, self.world, part, self.step)
-        if not (self.optimizer.looks_aside and step.is_finite):
-            return step
-        with self.optimizer.aside():
-            beside = gradient_step(self.objective, self.optimizer, batch, self.world, part, self.step)
-        # What is told is how good the colours are, not those beside them.
-        return step if beside.is_finite else beside
+        return gradient_step(self.objective, self.optimizer, batch, self.world, part, self.step)
 
     def _facts(self, lr: float) -> dict[str, object]:
         """Say what the event of a step holds beside its figures."""

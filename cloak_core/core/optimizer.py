@@ -8,9 +8,7 @@ importing torch takes 1.9 to 4.0 s. To measure it again:
         torch.optim.Adam([p]); print(time.perf_counter() - t)"
 """
 
-import contextlib
 import math
-from collections.abc import Iterator
 from functools import partial
 
 import torch
@@ -57,7 +55,6 @@ class ColorOptimizer:
         self.settings = settings
         self._coloring = Coloring(techniques, worn, settings.gamut == "sigmoid")
         self._parameter = self._coloring.begin(initial).requires_grad_()
-        self._aside = techniques.at("aside")
         movers = [technique for technique in techniques.at("move") if technique.choice[1] == settings.optimizer]
         if movers:
             self._move = movers[0].move
@@ -100,27 +97,6 @@ class ColorOptimizer:
 
     def clear(self) -> None:
         self._parameter.grad = None
-
-    @property
-    def looks_aside(self) -> bool:
-        """Whether the gradient to follow is not the one at the colours."""
-        return bool(self._aside)
-
-    @contextlib.contextmanager
-    def aside(self) -> Iterator[None]:
-        """Be, within the block, where the gradient is taken that `update` follows."""
-        parameter = self._parameter
-        stays = parameter.detach().clone()
-        way = sum(technique.aside(parameter.grad) for technique in self._aside)
-        self._put(stays + way)
-        try:
-            yield
-        finally:
-            self._put(stays)
-
-    @torch.no_grad()
-    def _put(self, parameter: Float[Tensor, "P 3"]) -> None:
-        self._parameter.copy_(parameter if self._coloring.is_sigmoid else parameter.clamp(0, 1))
 
     @torch.no_grad()
     def update(self, lr: float) -> None:

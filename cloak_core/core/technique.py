@@ -3,8 +3,7 @@
 Each file of `cloak_core/techniques` is one and is found there: a dataclass of settings, which joins a group of
 `cloak train`'s options, and a subclass of `Technique` with the hooks where it acts. A step calls them in this order:
 `hidden` and `distortion` (while its batch is built); `free`, `mix`, `tone`, `choose`, `keep` (from free parameters to
-colours); `around` (while a detector runs), `penalty`; `aside`, after which the gradient is taken once more; `level`,
-`observe`; `move` (the update).
+colours); `around` (while a detector runs), `penalty`; `level`, `observe`; `move` (the update).
 
 Whatever a technique draws at random is a function of (seed, step); an image's own seed is one. Off, it is not built.
 This imports no torch: settings are read before it is needed.
@@ -145,9 +144,6 @@ class Technique:
         """Project colours onto those that are allowed."""
 
     # --- on the update
-
-    def aside(self, gradient: Float[torch.Tensor, "P 3"]) -> Float[torch.Tensor, "P 3"]:
-        """Say where, beside the parameter, the gradient is to be that the update follows, by the gradient at it."""
 
     memory: ClassVar[frozenset[str]] = frozenset()
     """Names of the tensors that `move` keeps."""
