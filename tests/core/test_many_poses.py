@@ -12,26 +12,36 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 POSES = 500
 BUDGET_MB = 24
 CHILD = f"""
-import resource, sys, tempfile
+import ctypes, gc, tempfile
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
 from cloak_core.studies.trainings import training
+from cloak_core.sources.bodies import source
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.core.settings import make_settings
 from cloak_core.core.logo import make_logo, select_region
 from tests.core.fakes import TinyDetector, noise_backgrounds
 from tests.core.test_many_poses import many_poses
-training.ViewCache = lambda bodies, settings: ViewCache(bodies, replace(settings, memory_bytes={BUDGET_MB} << 20))
+small = lambda settings: replace(settings, memory_bytes={BUDGET_MB} << 20)
+source.ViewCache = lambda bodies, settings, **more: ViewCache(bodies, small(settings), **more)
 bodies = many_poses()
 logo = make_logo(bodies, select_region(bodies, "chest+thighs"))
-small = dict(batch=8, angles="-10,0,10", size=128, translation=0, checkpoint_every=0, preview_every=0)
-peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+quick = dict(batch=8, angles="-10,0,10", size=128, translation=0, checkpoint_every=0, preview_every=0)
+held = []
+def measure(event):
+    if event["type"] != "end":
+        return
+    gc.collect()
+    # What was freed lies about in pieces that new views of other sizes do not fill: given back, it does not count.
+    getattr(ctypes.CDLL(None), "malloc_trim", lambda spare: None)(0)
+    held.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20)
 with tempfile.TemporaryDirectory() as folder:
     for name, steps in (("warm-up", 24), ("short", 24), ("long", 48)):
-        settings = make_settings("best", steps=steps, **small)
-        training.train(settings, bodies, logo, [TinyDetector()], noise_backgrounds(200), Path(folder) / name)
-        print(peak())
+        settings = make_settings("best", steps=steps, **quick)
+        given = settings, bodies, logo, [TinyDetector()], noise_backgrounds(200), Path(folder) / name
+        training.train(*given, on_event=measure)
+print(*held)
 """
 
 
