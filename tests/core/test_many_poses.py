@@ -33,7 +33,7 @@ def measure(event):
     if event["type"] != "end":
         return
     gc.collect()
-    # What was freed lies about in pieces that new views of other sizes do not fill: given back, it does not count.
+    # Freed memory stays with the process until it is given back; only what is held shall count.
     getattr(ctypes.CDLL(None), "malloc_trim", lambda spare: None)(0)
     held.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20)
 with tempfile.TemporaryDirectory() as folder:

@@ -51,7 +51,7 @@ SAMPLES = 4
 NO_PATTERN: Mapping[str, str | float] = {}
 """Colours of faces, which do not repeat."""
 SLOTS = 6
-"""Turns go round so many slots. Each has its own distance and angles, and keeps the last colours of every face."""
+"""Turn k uses slot k % SLOTS. A slot has its own distance and angles, and keeps the last colours of every face."""
 GOES_ON = 0.75
 """How many cloaks begin with the colours that earlier ones of their slot ended with on the same faces, so that some are
 stronger than the steps of one turn make them."""
