@@ -40,7 +40,7 @@ class HardenSettings:
     the updates are young, and a strong cloak on nobody looks otherwise."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
-    attack_steps: Annotated[int, Bounds(0, 1000)] = 6
+    attack_steps: Annotated[int, Bounds(0, 1000)] = 20
     """Steps of an update's cloak against the detector as it stands, on the images that the update learns from."""
     cloths: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the new cloaks that are a cloth that repeats every 20 to 55 cm, as published textures do. It begins as a
