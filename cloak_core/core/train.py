@@ -109,5 +109,5 @@ def _require_plain(job: Job, world: World) -> None:
     if world.size > 1:
         raise InputError("--black-box-queries: searches in one process")
     if job.settings.pattern.pattern != "free" or any(technique.bars_search for technique in job.techniques):
-        refused = "--colors-at-most, --pattern, --profile, --near and --octaves"
+        refused = "--colors-at-most, --pattern, --profile, --near, --octaves and --initial-share"
         raise InputError(f"--black-box-queries: free colours alone, without {refused}")

@@ -149,6 +149,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "gamut": "sigmoid",
         "octaves": 5,
         "initial": "balls",
+        "initial_share": 0.5,
         "lr": 0.05,
     },
 }
