@@ -1,4 +1,4 @@
-"""Between the beginning and what training found: what all detectors react to is in both, what a few taught is halved.
+"""A mean of the first colours and of those that training found, which hides from more detectors than the latter alone.
 
 Of networks, the mean of the weights before and after fine-tuning is right more often on data of other kinds than either
 (WiSE-FT: Wortsman et al., "Robust fine-tuning of zero-shot models", CVPR 2022). Here the weights are a cloth's colours,
@@ -26,9 +26,9 @@ _STATE = "interpolate.first"
 @dataclass(frozen=True, kw_only=True)
 class InterpolateSettings:
     initial_share: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """How much of the first colours stays in those that are written, which lie between them and what training found
-    (WiSE-FT, Wortsman et al., CVPR 2022): with a print as beginning, more people are hidden from detectors that
-    training never saw. Needs a print (--initial) or --init; 0: none."""
+    """Share of the first colours in what is written: 0 writes what training found, 0.5 the mean of both (WiSE-FT,
+    Wortsman et al., CVPR 2022). Where training begins with a print, 0.5 hides more people from detectors that it never
+    saw. Needs a print (--initial) or --init."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
