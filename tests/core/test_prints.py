@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cloak_core.core.prints import PRINT_METRES, PRINTS, print_picture
+from cloak_core.core.prints import PRINT_METRES, PRINTS, SKINS, print_picture
 from cloak_core.files.errors import InputError
 
 
@@ -38,6 +38,18 @@ def test_every_second_row_is_moved_by_half_a_cell():
 def test_stripes_lie_across():
     picture = print_picture("stripes")
     assert (picture == picture[:, :1]).all() and len(np.unique(picture)) == 2
+
+
+def test_a_crowd_is_of_people_the_right_way_up():
+    picture = print_picture("crowd").astype(int)
+    side = len(picture)
+    # The middle of the second row's second person, whom the row below hides from the chest down.
+    column = picture[:, side // 3]
+    skin = np.flatnonzero((column == np.round(255 * np.array(SKINS[4]))).all(1))
+    assert 0.15 < len(skin) / (side / 3) < 0.6 and np.ptp(skin) + 1 == len(skin), "one face"
+    assert column[skin.min() - 3].sum() < 0.5 * column[skin.min()].sum(), "hair above it"
+    below = picture[skin.max() + 8, side // 3]
+    assert np.ptp(below) < 60 or below[2] > 1.5 * below[0], "a trunk below it"
 
 
 def test_an_unknown_print_is_named():

@@ -186,7 +186,8 @@ class OptimizerSettings:
     initial: Literal[("grey", "random", "clothing", "animal", *PRINTS)] = "grey"
     """First colours: grey; random, uniform per face and channel; clothing, the first outfit; animal, a dog's face on
     front and back, which helps against detectors of many classes; or a plain print that repeats every 25 cm, which
-    helps a cloth (--pattern tile), by its name."""
+    helps a cloth (--pattern tile), by its name: balls against detectors of many classes, crowd (people) against those
+    that know no fruit."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""

@@ -9,7 +9,7 @@ from cloak.blender import cloth, mesh_arrays, pictures
 from cloak.body.samples import ASSETS
 from cloths_made import wall
 
-PRINTS = {f"print-{name}" for name in ("balls", "ellipses", "dots", "checks", "stripes")}
+PRINTS = {f"print-{name}" for name in ("balls", "ellipses", "crowd", "dots", "checks", "stripes")}
 
 
 @pytest.fixture
