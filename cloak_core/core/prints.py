@@ -29,7 +29,7 @@ class Print:
     height: float = 0.10
     """Of an ellipse or a bar, metres."""
     colors: tuple[tuple[float, float, float], ...]
-    """sRGB in [0, 1]; row i, or of people the person i, has colour i modulo their number."""
+    """sRGB in [0, 1]; row i, or person i of a crowd, has colour i modulo their number."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     shade: float = 0.0
     """Ellipses and trunks are lit from above: their lower edges are darker than their colour by up to this share."""
@@ -84,7 +84,9 @@ PRINTS: dict[str, Print] = {
     "ellipses": Print(shape="ellipse", columns=3, colors=(ROSE, LIME), shade=0.5),
     "dots": Print(shape="ellipse", columns=3, rows=4, width=0.04, height=0.04, colors=(WHITE,)),
     "checks": Print(shape="check", columns=2, rows=4, colors=(WHITE,)),
-    "crowd": Print(shape="person", columns=3, rows=3, colors=(WHITE, BLUE, WHITE, SAND), shade=1.0),
+    "crowd": Print(
+        shape="person", columns=3, rows=3, colors=3 * (WHITE,) + 3 * (LIME,) + (WHITE, BLUE, SAND), shade=1.0
+    ),
     "stripes": Print(shape="stripe", rows=4, height=0.03, colors=(WHITE,)),
 }
 """By the names that `--initial` and `print:NAME` take."""
