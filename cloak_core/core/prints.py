@@ -54,9 +54,10 @@ class Print:
         return np.where(inside[:, None], shapes, self.background).astype(np.float32)
 
     def _crowd(self, cells: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 3"]:
-        """Draw people, each row of them in front of the one above; a cell's width alone says how large they are."""
+        """Draw rows of people, the lower in front of the upper. People are as large as cells are wide."""
         found = np.tile(np.array(self.background), (len(cells), 1))
-        for behind in (2, 1, 0, -1):  # rows above whose trunks reach down here, and the one below, whose heads reach up
+        # Trunks reach down here from two rows above, heads up from the row below.
+        for behind in (2, 1, 0, -1):
             row = np.floor(cells[:, 1]).astype(int) - behind
             across = cells[:, 0] + 0.5 * (row % self.rows % 2)
             person = row % self.rows * self.columns + np.floor(across).astype(int) % self.columns

@@ -1,4 +1,4 @@
-"""A mean of the first colours and of those that training found, which hides from more detectors than the latter alone.
+"""Keeping a share of the first colours in what is written. Such a cloth hides people from more detectors.
 
 Of networks, the mean of the weights before and after fine-tuning is right more often on data of other kinds than either
 (WiSE-FT: Wortsman et al., "Robust fine-tuning of zero-shot models", CVPR 2022). Here the weights are a cloth's colours,
