@@ -70,8 +70,7 @@ def harden(
     there.
     InputError: `out` exists without `resume`, or was begun with something else.
     """
-    if settings.lr is None:
-        settings = dataclasses.replace(settings, lr=student.lr)
+    settings = _settled(settings, student)
     fits = [] if material.people is None else fit_people(material.people)
     pool = Pool(settings, material.bodies, material.backgrounds, student.detector, fits)
     pictures = Pictures(pool, material.photographs, student.teacher)
@@ -81,6 +80,16 @@ def harden(
         stop_request(folder.cancel, settings.max_seconds) as stop,
     ):
         return Hardening(settings, student, pool, pictures, folder, on_event).run_to_end(stop)
+
+
+def _settled(settings: HardenSettings, student: Student) -> HardenSettings:
+    """What the detector and the machine decide where nobody has said it."""
+    if settings.lr is None:
+        settings = dataclasses.replace(settings, lr=student.lr)
+    if settings.precision == "auto":
+        tiles = student.detector.device.type == "cpu" and torch.cpu.get_capabilities().get("amx_bf16", False)
+        settings = dataclasses.replace(settings, precision="bfloat16" if tiles else "float32")
+    return settings
 
 
 class Hardening:

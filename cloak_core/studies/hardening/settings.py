@@ -58,9 +58,10 @@ class HardenSettings:
     """Decay of the running average of the weights, which is what gets written."""
     size: Annotated[int, Bounds(32, 4096)] = 320
     """Width and height of the rendered images, pixels."""
-    precision: Literal["float32", "bfloat16"] = "float32"
-    """Precision of the network while it learns and is attacked; what is written has float32 either way. bfloat16 takes
-    less than half the time on processors made for it (AMX); with AVX2 alone ten times as long. GPUs: not measured."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Precision of the network while it learns and is attacked; what is written has float32 either way. auto: bfloat16
+    on processors with matrix tiles for it (AMX), where it takes less than half the time; elsewhere float32. With AVX2
+    alone bfloat16 takes ten times as long, on a GPU as long as float32."""
     checkpoint_every: Annotated[int, Bounds(1, 10_000_000)] = 50
     """Steps between checkpoints."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
