@@ -207,6 +207,16 @@ def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_pa
     assert not torch.equal(again(images(1)).scores, load_detector(student.spec)(images(1)).scores)
 
 
+@pytest.mark.parametrize(("tiles", "chosen"), [(True, "bfloat16"), (False, "float32")])
+def test_the_precision_is_the_processors_unless_said(
+    student: Student, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tiles: bool, chosen: str
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": tiles})
+    for name, asked, recorded in (("own", "auto", chosen), ("said", "float32", "float32")):
+        hardened(student, tmp_path / name, steps=1, precision=asked)
+        assert json.loads((tmp_path / name / "config.json").read_text())["settings"]["precision"] == recorded
+
+
 def test_the_record_says_the_learning_rate_of_the_family(student: Student, tmp_path: Path) -> None:
     for name, lr, said in (("own", None, 1e-3), ("asked", 2e-4, 2e-4)):
         hardened(student, tmp_path / name, steps=1, lr=lr)
