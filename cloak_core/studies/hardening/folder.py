@@ -103,7 +103,7 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
         raise InputError(f"{path}: not a folder of cloak harden")
     before, now = (
         {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
-        | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
+        | {"bodies (--scene)": c["scene"]["identity"], "weights of the detector": c["detector"]["sha256"]}
         | {name: c.get(name) for name in ("backgrounds", "photographs", "people")}
         for c in (recorded, config)
     )
