@@ -140,6 +140,7 @@ def evaluate(
     # They bring matplotlib, which training needs not.
     from cloak_core.studies import evaluate as on_bodies
     from cloak_core.studies.cloaked import open_cloaked
+    from cloak_core.studies.printed_cloth import cloth_of_snapshot
     from cloak_core.studies.wearing import dressed as on_people
 
     settings = _either(settings, changes, EvaluateSettings)
@@ -157,8 +158,6 @@ def evaluate(
         shown, trained, name = on_people.open_dressed(folder, config, people, backgrounds, colors)
         place, curve = on_people.FOLDER, "curve-people"
         measure = partial(on_people.evaluate_dressed, **asked)
-        if over_time:
-            on_people.warn_of_coarse_snapshots(folder)
     else:
         shown, trained, name = open_cloaked(folder, config, scene, backgrounds, colors)
         angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
@@ -174,7 +173,7 @@ def evaluate(
     if over_time:
 
         def judge(path: Path, bare: EvaluateSettings) -> dict:
-            return measure(shown.in_colors(path), settings=bare)
+            return measure(shown.in_colors(path, cloth_of_snapshot(folder, path)), settings=bare)
 
         summary["over_time"] = on_bodies.over_time(folder, judge, settings, curve)
     return Figures(summary)

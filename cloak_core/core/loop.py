@@ -133,7 +133,7 @@ class TrainingLoop:
             while not self._is_done() and not reason:
                 figures = self._one_step()
                 if self.world.is_first and self._due(self.settings.run.snapshot_every):
-                    self.run.write_snapshot(self.step, self._on_faces(self.optimizer.finished()))
+                    self._write_snapshot()
                 reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
                 if self._is_done() or reason or self._due(self.settings.run.checkpoint_every):
                     self._save()
@@ -245,6 +245,10 @@ class TrainingLoop:
             tensors = self.optimizer.state() | self.techniques.state()
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
             self._tell("checkpoint")
+
+    def _write_snapshot(self) -> None:
+        colors = self.optimizer.finished()
+        self.run.write_snapshot(self.step, self._on_faces(colors), self.batcher.worn.picture(_as_array(colors)))
 
     def _show(self) -> None:
         """Write the colours every now and then, for whoever watches."""

@@ -52,15 +52,24 @@ class RunFolder:
 
     def write_cloth(self, picture: Float32[np.ndarray, "h w 3"]) -> None:
         """Write what is to be printed, a pixel for each square."""
-        save_picture(self.cloth, Image.fromarray(np.round(255 * picture).astype(np.uint8)))
+        _save_cloth(self.cloth, picture)
 
-    def write_snapshot(self, step: int, colors: Float32[np.ndarray, "L 3"]) -> None:
-        """Keep a copy of the colours after `step` steps."""
+    def write_snapshot(
+        self, step: int, colors: Float32[np.ndarray, "L 3"], picture: Float32[np.ndarray, "h w 3"] | None = None
+    ) -> None:
+        """Keep a copy of the colours after `step` steps; of a cloth also its picture, which is finer than faces."""
         if self.snapshots.is_symlink():
             raise InputError(f"{self.snapshots}: not a folder of its own")
         with written(self.snapshots):
             self.snapshots.mkdir(exist_ok=True)
-        write_colors(self.snapshots / f"step-{step:08d}.npy", colors)
+        path = self.snapshots / f"step-{step:08d}.npy"
+        if picture is not None:
+            _save_cloth(path.with_suffix(".png"), picture)
+        write_colors(path, colors)
+
+
+def _save_cloth(path: Path, picture: Float32[np.ndarray, "h w 3"]) -> None:
+    save_picture(path, Image.fromarray(np.round(255 * picture).astype(np.uint8)))
 
 
 @contextlib.contextmanager

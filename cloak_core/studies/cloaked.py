@@ -61,9 +61,9 @@ class Cloaked:
         cloth = None if self.cloth is None else self.cloth.printed(profile)
         return replace(self, colors=profile.photographed(profile.to_send(self.colors)), cloth=cloth)
 
-    def in_colors(self, path: Path) -> Cloaked:
-        """Wear the colours of a file instead. InputError: they are of another number of faces."""
-        return replace(self, colors=read_colors(path, len(self.logo)), cloth=None)
+    def in_colors(self, path: Path, cloth: PrintedCloth | None) -> Cloaked:
+        """Wear the colours of a file instead, or the cloth that they are of. InputError: another number of faces."""
+        return replace(self, colors=read_colors(path, len(self.logo)), cloth=cloth)
 
 
 def open_cloaked(

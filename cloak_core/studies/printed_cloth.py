@@ -12,6 +12,7 @@ from cloak_core.core.cloth import Cloth
 from cloak_core.core.pictures import read_picture
 from cloak_core.exchange.cloth import CLOTH_FILE, cloth_metres
 from cloak_core.exchange.profiles import Profile
+from cloak_core.files.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,3 +39,17 @@ def cloth_of_run(folder: Path) -> PrintedCloth | None:
     if not (folder / CLOTH_FILE).exists():
         return None
     return PrintedCloth.of(read_picture(folder / CLOTH_FILE), cloth_metres(folder))
+
+
+def cloth_of_snapshot(folder: Path, colors: Path) -> PrintedCloth | None:
+    """Read the cloth of a run's snapshot, the picture beside its colours; None where the run trained colours of faces.
+
+    InputError: there is no such picture. Faces show less of a cloth than it has, so they say nothing of its success.
+    """
+    if not (folder / CLOTH_FILE).exists():
+        return None
+    picture = colors.with_suffix(".png")
+    if not picture.exists():
+        message = "no such file: this run's snapshots are of an earlier version, which kept the faces' colours alone"
+        raise InputError(f"{picture}: {message}; train again with --snapshot-every")
+    return PrintedCloth.of(read_picture(picture), cloth_metres(folder))

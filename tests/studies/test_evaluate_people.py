@@ -21,9 +21,12 @@ from cloak_core.library import evaluate, train
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
+from cloak_core.studies.cloaked import open_cloaked
 from cloak_core.studies.evaluate import read_evaluation
+from cloak_core.studies.printed_cloth import cloth_of_snapshot
 from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
 from cloak_core.studies.trainings.run_record import _people
+from cloak_core.studies.wearing.dressed import open_dressed
 from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny
@@ -196,6 +199,27 @@ def test_other_colours_printers_and_snapshots_are_judged_on_people(run: Path, pa
     assert worn["detectors"]["builtin"]["logo"]["mean_score"] == pytest.approx(
         plain["detectors"]["builtin"]["logo"]["mean_score"], abs=0.02
     )
+
+
+def test_snapshots_of_a_cloth_are_judged_as_fine_as_the_cloth(path: Path, tmp_path: Path) -> None:
+    # What was trained last is what the run wears, so the curve ends at the evaluation's own figures.
+    how = {"steps": 2, "batch": 1, "samples": 1, "tv_weight": 0.0, "initial": "balls", "pattern": "tile"}
+    how |= {"tile_cm": 25.0, "feature_cm": 0.5, "preview_every": 0, "snapshot_every": 1}
+    run = train(None, people=path, logo="shirt+trousers", detectors=["builtin"], out=tmp_path / "run", **how).out
+    said = evaluate(run, people=path, over_time=True, controls=("grey",), **HOW)
+    rates, last = said["detectors"]["builtin"], said["over_time"][-1]["detectors"]["builtin"]
+    assert last == {key: rates["logo"][key] for key in last}
+    shown, config = run / "snapshots" / "step-00000002.png", json.loads((run / "config.json").read_text())
+    dressed = open_dressed(run, config, path)[0]
+    snapshot = dressed.in_colors(shown.with_suffix(".npy"), cloth_of_snapshot(run, shown))
+    assert shown.read_bytes() == (run / "cloth.png").read_bytes() and snapshot.identity == dressed.identity
+    bodies = open_cloaked(run, config, "sample:unseen[0:1]", "procedural:test:1")[0]
+    printed = bodies.in_colors(shown.with_suffix(".npy"), cloth_of_snapshot(run, shown)).cloth
+    assert np.array_equal(printed.colors, bodies.cloth.colors)
+    # An earlier version kept the faces' colours alone, which hide less than the cloth.
+    shown.unlink()
+    with pytest.raises(InputError, match=r"step-00000002\.png: no such file: .* earlier version"):
+        evaluate(run, people=path, over_time=True, controls=("grey",), **HOW)
 
 
 REFUSED = {

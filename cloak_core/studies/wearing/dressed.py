@@ -14,7 +14,6 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.measure import OnProgress, check_asked
 from cloak_core.core.evaluation.settings import EvaluateSettings, WearSettings
-from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.profiles import Profile
@@ -25,8 +24,9 @@ from cloak_core.sources.photographs.fits import fit_people, people_identity, tho
 from cloak_core.sources.photographs.people import People, load_people
 from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.evaluate import check_folder, evaluate_renderer
+from cloak_core.studies.printed_cloth import PrintedCloth
 from cloak_core.studies.trained_run import photographs_seen_in_training, read_run, trained_against
-from cloak_core.studies.wearing.clothes import CONTROLS, Clothes, LogoClothes, PictureClothes, read_clothes
+from cloak_core.studies.wearing.clothes import CONTROLS, Clothes, LogoClothes, PictureClothes, clothes_of, read_clothes
 from cloak_core.studies.wearing.renderer import PeopleRenderer
 from cloak_core.studies.wearing.wearing import mean_quality
 from cloak_core.zoo.entry import run_path
@@ -60,9 +60,9 @@ class Dressed:
             return replace(self, worn=replace(worn, picture=seen.reshape(worn.picture.shape)))
         return replace(self, worn=replace(worn, colors=profile.photographed(profile.to_send(worn.colors))))
 
-    def in_colors(self, path: Path) -> Dressed:
-        """Wear colours of the logo's faces, from a file. InputError: they are of another number of faces."""
-        return replace(self, worn=LogoClothes(LOGO, self.position, read_colors(path, self.faces)))
+    def in_colors(self, path: Path, cloth: PrintedCloth | None) -> Dressed:
+        """Wear the colours of a file instead, or the cloth that they are of. InputError: another number of faces."""
+        return replace(self, worn=clothes_of(LOGO, self.position, read_colors(path, self.faces), cloth))
 
     @property
     def identity(self) -> str:
@@ -148,12 +148,6 @@ def evaluate_dressed(
     circumstances["settings"] |= {"controls": list(controls[1:])}
     more = {"controls": controls, "out": out, "on_progress": on_progress}
     return evaluate_renderer(renderer, detectors, settings, circumstances, **more)
-
-
-def warn_of_coarse_snapshots(run: Path) -> None:
-    """Warn that snapshots of a cloth hold the mean colour of each face, which is coarser than the cloth."""
-    if (run / CLOTH_FILE).exists():
-        _log.warning("%s: its snapshots hold the colours of faces, coarser than %s", run, CLOTH_FILE)
 
 
 def _controls(settings: EvaluateSettings) -> tuple[str, ...]:
