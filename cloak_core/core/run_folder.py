@@ -28,7 +28,7 @@ from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import is_taken, new_folder, write_json, written
+from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, write_json, written
 
 _log = logging.getLogger("cloak")
 
@@ -107,7 +107,8 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
             with written(folder):
                 folder.mkdir(exist_ok=True)
         remove_unfinished(run.checkpoint)
-        _remove_unfinished_files(run)
+        for folder in (path, run.previews, *[run.snapshots] * (not run.snapshots.is_symlink())):
+            remove_all_leftovers(folder)
         with written(run.cancel):
             run.cancel.unlink(missing_ok=True)
         yield run
@@ -119,14 +120,6 @@ def _start(path: Path, config: dict, logo: Logo) -> None:
         write_face_list(temporary / "logo.npy", logo.face_ids, logo.topology)
         (temporary / "checkpoint").mkdir()
         (temporary / "previews").mkdir()
-
-
-def _remove_unfinished_files(run: RunFolder) -> None:
-    """Remove the unfinished files that a killed process left."""
-    for folder, pattern in ((run.path, ".colors.npy.*"), (run.path, ".events.jsonl.*"), (run.previews, ".step-*")):
-        for path in folder.glob(pattern):
-            with contextlib.suppress(OSError):
-                path.unlink()
 
 
 MOST = 8

@@ -98,7 +98,8 @@ def remove_all_leftovers(folder: Path) -> None:
     """Remove what killed writers left of any file in a folder. Nobody else may be writing into it now."""
     for other in folder.iterdir() if folder.is_dir() else ():
         if re.fullmatch(r"\..+\.[a-z0-9_]{8}", other.name) and other.is_file():
-            other.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # it is in nobody's way
+                other.unlink()
 
 
 def open_to_append(path: str | os.PathLike) -> BinaryIO:

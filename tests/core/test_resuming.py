@@ -75,8 +75,13 @@ def test_a_run_that_names_retired_options_resumes_where_they_were_off(tmp_path):
 @pytest.mark.slow
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
     done = run(tmp_path / "run")
+    names = (".cost.json.1yv8pe0c", ".cloth.png.a_bc1234", "previews/.step-00000001.png.12345678")
+    left, mine = [tmp_path / "run" / name for name in names], tmp_path / "run" / ".mine"
+    for path in [*left, mine]:
+        path.touch()
     again = run(tmp_path / "run", resume=True)
     assert np.array_equal(done.colors, again.colors) and again.stopped == ""
+    assert mine.exists() and not [path for path in left if path.exists()], "what killed writers left goes"
     assert again.figures == done.figures and again.record()["loss"] == done.record()["loss"]
 
 

@@ -20,7 +20,7 @@ from cloak_core.core.visibility.threads import one_thread
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
-from cloak_core.files.writing import write_json
+from cloak_core.files.writing import remove_all_leftovers, write_json
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.views import logo_positions
@@ -106,6 +106,7 @@ class Assessment:
                 card["photographs"] = self._photographs(card)
         card |= summary(card)
         pictures = keep_pictures(self.folder / "pictures", self.store, self.shown, card)
+        remove_all_leftovers(self.folder)
         write_json(self.folder / "pictures.json", pictures)
         card["seconds"] = work.seconds
         write_json(self.folder / "card.json", card)

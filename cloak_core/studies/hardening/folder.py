@@ -17,7 +17,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import is_taken, new_folder, write_json, written
+from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, write_json, written
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import people_identity
 from cloak_core.sources.photographs.people import People
@@ -91,6 +91,7 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
         if folder.checkpoint.is_symlink() or not folder.checkpoint.is_dir():
             raise InputError(f"{folder.checkpoint}: not a folder of its own")
         remove_unfinished(folder.checkpoint)
+        remove_all_leftovers(path)
         with written(folder.cancel):
             folder.cancel.unlink(missing_ok=True)
         yield folder
