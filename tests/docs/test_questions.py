@@ -17,6 +17,8 @@ LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#{1,4} (.+)$", re.MULTILINE)
 MOST = 3
+PACE = 238
+"""Words a minute at which adults read English non-fiction (Brysbaert, Journal of Memory and Language, 2019)."""
 QUESTIONS = {
     "how do I test my YOLO": ("docs/howto/own-detector.md", "Test a YOLO, or any other file"),
     "what does it cost me to harden it": ("docs/hardening.md", "What it costs, and what still gets through"),
@@ -106,6 +108,12 @@ def test_clicks_are_counted(tmp_path: Path) -> None:
         way_to(tmp_path / "d.md", "D", ways)
     with pytest.raises(AssertionError, match="no heading"):
         way_to(tmp_path / "c.md", "Near", ways)
+
+
+def test_the_page_on_hardening_reads_in_five_minutes() -> None:
+    text = LINK.sub(lambda link: link[0].partition("](")[0], (ROOT / "docs" / "hardening.md").read_text("utf-8"))
+    words = [word for word in text.split() if re.search(r"\w", word)]  # cells of tables and commands, too
+    assert len(words) / PACE <= 5
 
 
 def test_every_option_that_is_gone_stands_beside_what_replaces_it() -> None:
