@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from cloak_core.commands.base import load_scene, out
 from cloak_core.commands.options import Computing
-from cloak_core.commands.progress import TrainingProgress, announce
+from cloak_core.commands.progress import TrainingProgress
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import is_taken
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -46,8 +46,8 @@ class Harden(Computing):
     resume: bool = False
     """Continue the hardening in --out from its last checkpoint."""
     hours: float | None = None
-    """Plan --steps and --finished so that the hardening takes about so many hours: a few updates are tried first, and a
-    line says what will be done. The record holds the counts. The cards (--assess) come on top."""
+    """Plan --steps so that the hardening takes about so many hours: a few updates are tried first, and a line says what
+    will be done. The record holds the count. The cards (--assess) come on top."""
     scene: str = "sample:train"
     """Bodies in cloaks: scene folder, .npz, or sample[:train]."""
     backgrounds: str = "procedural:train"
@@ -87,8 +87,6 @@ class Harden(Computing):
         people = None if self.people is None else load_people(self.people, self.images)
         material = Material(bodies, backgrounds, photographs, people)
         settings = self._planned(student, material)
-        if settings.decoys and settings.finished and not self.resume:
-            announce("cloaks to begin with", settings.finished, unit="trainings")
         with TrainingProgress(label="hardening") as progress:
             result = harden(settings, student, material, self.out, resume=self.resume, on_event=progress)
         stopped = f"stopped at step {result.step}: {result.stopped}" if result.stopped else ""

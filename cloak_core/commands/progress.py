@@ -35,10 +35,7 @@ def announce(work: str, total: int, seconds: float | None = None, *, unit: str) 
 
 
 class TrainingProgress:
-    """Takes a run's events ("start" with the number of steps, then one "step" each) and shows how it goes.
-
-    Before its steps a hardening has a "cloak" for each that it trains first.
-    """
+    """Takes a run's events ("start" with the number of steps, then one "step" each) and shows how it goes."""
 
     def __init__(self, silent: bool = False, label: str = "training") -> None:
         columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[figures]}"))
@@ -69,10 +66,6 @@ class TrainingProgress:
                 announce(self._label, self._total - event.get("step", 0), unit="updates")
         elif event.get("type") == "step":
             self._step(event)
-        elif event.get("type") == "cloak":
-            left = event["time"] / event["count"] * (event["of"] - event["count"])
-            about = f"; about {_minutes(left)} left before the first update" if left else ""
-            err.print(f"cloaks to begin with: {event['count']} of {event['of']}{about}")
 
     def _step(self, event: dict) -> None:
         # One batch says little about success: show a running mean over about twenty.

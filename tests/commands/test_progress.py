@@ -79,16 +79,6 @@ def test_the_time_left_counts_how_long_each_takes(monkeypatch):
     assert said == ["1 of 3: 1", "2 of 3: 2; about 3 min 0 s left", "3 of 3: 7; about 2 min 20 s left"]
 
 
-def test_cloaks_that_a_hardening_trains_first_have_their_time(capsys):
-    with TrainingProgress(label="hardening") as progress:
-        progress({"type": "start", "step": 0, "steps": 50})
-        for done in (1, 2):
-            progress({"type": "cloak", "step": 0, "count": done, "of": 2, "time": 120.0 * done})
-    _, first, second = capsys.readouterr().err.strip().splitlines()
-    assert first == "cloaks to begin with: 1 of 2; about 2 min left before the first update"
-    assert second == "cloaks to begin with: 2 of 2"
-
-
 @pytest.mark.parametrize(
     ("trained_on", "others"),
     [

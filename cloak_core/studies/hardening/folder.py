@@ -25,7 +25,7 @@ from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.trainings.run_record import environment
 
-FORMAT, EARLIER = "cloak hardening 3", ("cloak hardening 1", "cloak hardening 2")
+FORMAT, EARLIER = "cloak hardening 4", ("cloak hardening 1", "cloak hardening 2", "cloak hardening 3")
 """EARLIER drew other cloaks, with which their checkpoints do not go on."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""

@@ -123,11 +123,6 @@ class Hardening:
         reason, steps = "", self.settings.steps
         try:
             self._tell("resume" if self.step else "start", steps=steps)
-            while not self.step and len(self.pool.finished) < self._decoys_finished and not reason:
-                self.pool.finish_one()
-                self._save()
-                self._tell("cloak", count=len(self.pool.finished), of=self._decoys_finished)
-                reason = stop.reason(self.seconds)
             while self.step < steps and not reason:
                 self._one_step()
                 reason = stop.reason(self.seconds)
@@ -141,11 +136,6 @@ class Hardening:
         finally:
             self.log.close()
         return HardenResult(self.folder.path, spec, self.step, steps, self.seconds, reason)
-
-    @property
-    def _decoys_finished(self) -> int:
-        """How many finished cloaks decoys begin with."""
-        return self.settings.finished if self.settings.decoys else 0
 
     def _one_step(self) -> None:
         self.student.detector.requires_grad_(False)

@@ -21,9 +21,9 @@ from cloak_core.studies.hardening.pool import DISTANCES, Pool
 FINER, LEAST_PART = 2, 0.4
 """Pictures are taken from photographs decoded this many times finer, of at least this share of their side: a detector
 that learns whole photographs by heart reports more in the parts of others."""
-RECENT, FINISHED, UNTRAINED = 6, 4, 4
-"""Odds that a decoy shows one of the last cloaks, one that was trained to its end, and a pattern that nobody trained.
-The colours of cloaks alone must not decide what is a person."""
+UNTRAINED = 0.4
+"""Share of the textures that nobody trained; the others are those of the last cloaks. The colours of cloaks alone must
+not decide what is a person."""
 MAYBE_PERSON = 0.3
 """A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
 _PICTURES, _DECOYS = 3, 4
@@ -59,7 +59,7 @@ class Pictures:
 
     @torch.no_grad()
     def decoys(self, turn: int) -> Decoys:
-        """Pictures with cloth that nobody wears: the last cloaks, finished ones, and random patterns."""
+        """Pictures with cloth that nobody wears: the last cloaks, and random patterns."""
         rng = np.random.default_rng([self.settings.seed, _DECOYS, turn])
         without, shown = (torch.zeros(self.settings.decoys, 3, self.size, self.size) for _ in range(2))
         for k in range(len(shown)):
@@ -69,16 +69,13 @@ class Pictures:
         return Decoys(shown.to(self.pool.device), without.to(self.pool.device))
 
     def textures(self, rng: np.random.Generator) -> Iterator[Texture]:
-        """Draw what decoys show: the last cloaks, finished ones, and patterns that nobody trained."""
-        recent, finished = self.pool.recent, self.pool.finished
-        odds = np.cumsum([RECENT if recent else 0, FINISHED if finished else 0, UNTRAINED])
+        """Draw what decoys show: the last cloaks, and patterns that nobody trained."""
+        recent = self.pool.recent
         while True:
-            kind = np.searchsorted(odds, rng.integers(odds[-1]), side="right")
-            if kind == 2:
+            if rng.random() < UNTRAINED or not recent:
                 yield random_texture(rng, lambda: self._part(rng, photograph=False))
             else:
-                textures = (recent, finished)[kind]
-                yield textures[rng.integers(len(textures))]
+                yield recent[rng.integers(len(recent))]
 
     def _part(self, rng: np.random.Generator, photograph: bool) -> Float[Tensor, "3 H W"]:
         """Draw a part of a photograph, where there are some, or of a background."""

@@ -5,63 +5,49 @@ from __future__ import annotations
 import itertools
 import statistics
 import tempfile
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from cloak_core.core.events import read_events
-from cloak_core.core.objective import gradient_step
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import harden
-from cloak_core.studies.hardening.pool import FINISH, SLOTS, Pool
+from cloak_core.studies.hardening.pool import SLOTS
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 
 TRIED = 3
-"""Turns, or steps of a cloak, that are timed."""
+"""Turns that are timed."""
 KEPT_BACK = 0.05
 """Share of the time for checkpoints and writing."""
-FOR_FINISHED = 0.2
-"""Largest share of the time for the cloaks that are trained to their end first."""
 LEAST_STEPS = 50
 """Updates below which nothing is hardened."""
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Seconds of an update with all that belongs to it, and of a step of a cloak."""
-
-    update: float
-    cloak_step: float
-
-
-def plan(settings: HardenSettings, pace: Pace, hours: float) -> HardenSettings:
-    """Choose the number of updates, and of cloaks finished first, that take `hours` at this pace.
+def plan(settings: HardenSettings, pace: float, hours: float) -> HardenSettings:
+    """Choose the number of updates that take `hours`, at `pace` seconds each.
 
     InputError: fewer than `LEAST_STEPS` updates fit.
     """
-    seconds = 3600 * hours * (1 - KEPT_BACK)
-    each = FINISH * pace.cloak_step
-    finished = min(settings.finished if settings.decoys else 0, int(FOR_FINISHED * seconds / each))
-    steps = int((seconds - finished * each) / pace.update)
+    steps = int(3600 * hours * (1 - KEPT_BACK) / pace)
     if steps < LEAST_STEPS:
-        least = LEAST_STEPS * pace.update / (1 - KEPT_BACK) / 3600
+        least = LEAST_STEPS * pace / (1 - KEPT_BACK) / 3600
         raise InputError(
-            f"--hours {hours:g}: {max(steps, 0)} updates of {pace.update:.2g} s fit, which hardens nothing; "
+            f"--hours {hours:g}: {steps} updates of {pace:.2g} s fit, which hardens nothing; "
             f"{LEAST_STEPS} take {least:.2g} hours, and the default {HardenSettings.steps} are better"
         )
-    return replace(settings, steps=steps, finished=finished)
+    return replace(settings, steps=steps)
 
 
-def measure_pace(settings: HardenSettings, student: Student, material: Material) -> Pace:
-    """Try a hardening in a folder of its own, and leave the student as it was. Arguments as for `harden`.
+def measure_pace(settings: HardenSettings, student: Student, material: Material) -> float:
+    """Measure the seconds that an update takes with all that belongs to it. Arguments as for `harden`.
 
-    Views are rendered anew for each cloak at first, so that the updates tried are rather slow ones.
+    A few are tried in a folder of their own, and leave the student as it was. Views are rendered anew for each cloak at
+    first, so that these are rather slow ones.
     """
     before = {name: value.clone() for name, value in student.network.state_dict().items()}
-    few = replace(settings, steps=SLOTS + 1 + TRIED, finished=0, max_seconds=None)
+    few = replace(settings, steps=SLOTS + 1 + TRIED, max_seconds=None)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tried"
         try:
@@ -71,30 +57,17 @@ def measure_pace(settings: HardenSettings, student: Student, material: Material)
         if tried.stopped:
             raise KeyboardInterrupt  # nothing was begun yet
         ends = [event["time"] for event in read_events(out / "events.jsonl") if event["type"] == "step"]
-    updates = [later - earlier for earlier, later in itertools.pairwise(ends)][-TRIED:]
-    student.detector.requires_grad_(False)
-    cloak = Pool(few, material.bodies, material.backgrounds, student.detector).cloak(1, 0)
-    steps = []
-    for k in range(1 + TRIED):
-        started = time.perf_counter()
-        gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(k))
-        steps.append(time.perf_counter() - started)
-    return Pace(statistics.median(updates), statistics.median(steps[1:]))
+    return statistics.median([later - earlier for earlier, later in itertools.pairwise(ends)][-TRIED:])
 
 
 def recorded_plan(settings: HardenSettings, out: Path) -> HardenSettings:
-    """Take the counts that a hardening was begun with, to go on with it. InputError: no such folder."""
-    recorded = read_json(out / "config.json").get("settings", {})
-    counts = {name: recorded.get(name) for name in ("steps", "finished")}
-    if not all(isinstance(count, int) for count in counts.values()):
-        raise InputError(f"{out / 'config.json'}: does not say its counts (settings.steps, settings.finished)")
-    return replace(settings, **counts)
+    """Take the number of updates that a hardening was begun with, to go on with it. InputError: no such folder."""
+    steps = read_json(out / "config.json").get("settings", {}).get("steps")
+    if not isinstance(steps, int):
+        raise InputError(f"{out / 'config.json'}: does not say its number of updates (settings.steps)")
+    return replace(settings, steps=steps)
 
 
-def planned_words(settings: HardenSettings, pace: Pace, hours: float) -> str:
+def planned_words(settings: HardenSettings, pace: float, hours: float) -> str:
     """Say what a plan does, in one line."""
-    finished = settings.finished * FINISH * pace.cloak_step
-    return (
-        f"--hours {hours:g}: {settings.finished} cloaks trained first ({finished / 60:.0f} min), then {settings.steps} "
-        f"updates of {pace.update:.2g} s ({settings.steps * pace.update / 60:.0f} min)"
-    )
+    return f"--hours {hours:g}: {settings.steps} updates of {pace:.2g} s ({settings.steps * pace / 60:.0f} min)"

@@ -20,7 +20,7 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo, make_logo
 from cloak_core.core.objective import Objective, StepFigures, gradient_step
-from cloak_core.core.optimizer import ColorOptimizer, learning_rate
+from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.paint import compose
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
@@ -58,10 +58,8 @@ stronger than the steps of one turn make them."""
 WHOLE_BODY = 2
 """One cloak in this many covers the whole body, the largest logo that an attacker has. Without this rule the largest of
 200 drawn logos covered four fifths of a body, and the hardened detector fell to a cloak over all of it."""
-FINISH, FINISH_LR = 240, 0.05
-"""Steps that train a cloak to its end, and their first learning rate."""
 KEPT = 32
-"""So many of the last cloaks are shown on decoys, beside those trained to the end."""
+"""So many of the last cloaks are shown on decoys."""
 _LOGO, _VIEWS, _CLOTH = 1, 2, 6
 """Streams of random numbers; `pictures` and `hardening` have others."""
 
@@ -130,19 +128,8 @@ class Pool:
         self.centres, self.normals = face_centres(bodies), face_normals(bodies)
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
         """By slot, the last colours that any of its cloaks had on each face."""
-        self.finished: list[Texture] = []
-        """Of cloaks that were trained to their end."""
         self.recent: list[Texture] = []
         """Of the last turns' cloaks, the oldest first."""
-
-    def finish_one(self) -> None:
-        """Train one more cloak to its end against the detector as it stands, for decoys alone."""
-        cloak = self.cloak(SLOTS + len(self.finished), 0)
-        for k in range(FINISH):
-            gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(k))
-            # At a constant rate colours flicker to the end.
-            cloak.optimizer.update(learning_rate(cloak.optimizer.settings, k, FINISH, epoch=0.0))
-        self.finished.append(cloak.texture())
 
     def turn(self, turn: int) -> Turn:
         """Make images of a new cloak, and move its colours against the detector as it stands, on these images.
@@ -183,9 +170,7 @@ class Pool:
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint."""
         kept = {f"skin.{slot}": skin for slot, skin in self.skins.items()}
-        for name, textures in (("finished", self.finished), ("recent", self.recent)):
-            kept |= {f"{name}.{k:03d}": torch.from_numpy(texture) for k, texture in enumerate(textures)}
-        return kept
+        return kept | {f"recent.{k:03d}": torch.from_numpy(texture) for k, texture in enumerate(self.recent)}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         """Go on from `state()`."""
@@ -195,9 +180,7 @@ class Pool:
             return {name.removeprefix(mark): tensors[name] for name in sorted(tensors) if name.startswith(mark)}
 
         self.skins = {int(slot): skin.to(self.device) for slot, skin in of("skin").items()}
-        self.finished, self.recent = (
-            [one.cpu().numpy() for one in of(kind).values()] for kind in ("finished", "recent")
-        )
+        self.recent = [texture.cpu().numpy() for texture in of("recent").values()]
 
     def cloak(self, slot: int, generation: int) -> Cloak:
         """Make a slot's next cloak."""
@@ -247,7 +230,6 @@ class Pool:
             steps=10_000_000,
             batch=self.settings.batch,
             seed=self.settings.seed + slot,
-            lr=FINISH_LR,
             hide=self.settings.hide,
             size=self.settings.size,
             translation=self.settings.size // 8,

@@ -35,9 +35,6 @@ class HardenSettings:
     decoys: Annotated[int, Bounds(0, 4096)] = 5
     """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
     which the detector is to say what it said without the cloth."""
-    finished: Annotated[int, Bounds(0, 256)] = 4
-    """Cloaks that are trained against the unhardened detector before its first update, for such cloth alone: those of
-    the updates are young, and a strong cloak on nobody looks otherwise."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 20

@@ -14,7 +14,6 @@ FEW = {
     "pictures": 1,
     "decoys": 1,
     "attack_steps": 1,
-    "finished": 0,
     "size": 64,
 }
 

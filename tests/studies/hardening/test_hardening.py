@@ -16,7 +16,6 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.studies.hardening.hardening import rate
 from cloak_core.studies.hardening.onnx_student import OnnxStudent
-from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import NAME, Student
 from cloak_core.studies.hardening.students import open_student
@@ -86,7 +85,7 @@ def test_a_folder_that_is_there_is_not_taken_for_another(
         hardened(student, tmp_path / "out", **({"steps": 1} | changes))
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(
     student: Student, tmp_path: Path, version: int
 ) -> None:
@@ -95,22 +94,6 @@ def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(
     (tmp_path / "out" / "config.json").write_text(json.dumps(config | {"format": f"cloak hardening {version}"}))
     with pytest.raises(InputError, match="earlier version, which drew other cloaks; begin in another --out"):
         hardened(student, tmp_path / "out", resume=True, steps=1)
-
-
-def test_cloaks_finished_before_the_first_update_are_kept_by_a_stop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("cloak_core.studies.hardening.pool.FINISH", 2)
-    finish, finished = Pool.finish_one, []
-    monkeypatch.setattr(Pool, "finish_one", lambda pool: (finish(pool), finished.append(1)))
-    spec = write_tiny(tmp_path)
-    whole = hardened(open_student(spec), tmp_path / "whole", steps=1, finished=2)
-    with monkeypatch.context() as patched:
-        patched.setattr(StopRequest, "reason", lambda *_: "cancel file")
-        assert hardened(open_student(spec), tmp_path / "part", steps=1, finished=2).step == 0
-    rest = hardened(open_student(spec), tmp_path / "part", resume=True, steps=1, finished=2)
-    assert len(finished) == 2 + 2 and rest.step == 1
-    assert state_hash(load_detector(rest.spec)) == state_hash(load_detector(whole.spec))
 
 
 def test_a_folder_goes_on_with_the_settings_that_it_was_begun_with(student: Student, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
 from tests.detectors.test_onnx import HALF, SIDE, Made  # noqa: E402, of the packages above
 
 numpy_helper, INT64 = onnx.numpy_helper, onnx.TensorProto.INT64
-FEW = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "finished": 0, "size": 64}
+FEW = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "size": 64}
 EXAMPLE = Path(__file__).parents[3] / "examples" / "my_detector.py"
 
 

@@ -17,8 +17,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.places import check_places, people_among
-from cloak_core.studies.hardening.planning import Pace, measure_pace, plan, planned_words
-from cloak_core.studies.hardening.pool import FINISH
+from cloak_core.studies.hardening.planning import measure_pace, plan, planned_words
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.students import open_student
 from tests.core.fakes import box_bodies, noise_backgrounds
@@ -27,18 +26,12 @@ from tests.detectors.helpers import write_tiny
 FEW = {"batch": 2, "pictures": 1, "decoys": 1, "attack_steps": 1, "size": 64}
 
 
-def test_a_plan_fills_its_hours_and_keeps_first_cloaks_to_a_fifth() -> None:
-    pace = Pace(update=2.0, cloak_step=0.5)
+def test_a_plan_fills_its_hours() -> None:
+    pace = 2.0
     for hours in (0.2, 1.0, 8.0):
-        settings = plan(HardenSettings(), pace, hours)
-        seconds = settings.steps * 2.0 + settings.finished * FINISH * 0.5
-        assert 0.94 * 3600 * hours - 2 < seconds <= 0.95 * 3600 * hours
-        assert settings.finished * FINISH * 0.5 <= 0.2 * 0.95 * 3600 * hours
-    assert plan(HardenSettings(), pace, 8.0).finished == HardenSettings.finished
-    assert plan(HardenSettings(), pace, 0.2).finished == 1
-    assert plan(HardenSettings(decoys=0), pace, 8.0).finished == 0
+        assert 0.95 * 3600 * hours - 2 < plan(HardenSettings(), pace, hours).steps * pace <= 0.95 * 3600 * hours
     words = planned_words(plan(HardenSettings(), pace, 8.0), pace, 8.0)
-    assert words == "--hours 8: 4 cloaks trained first (8 min), then 13440 updates of 2 s (448 min)"
+    assert words == "--hours 8: 13680 updates of 2 s (456 min)"
     with pytest.raises(
         InputError, match=r"--hours 0.01: 17 updates of 2 s fit, which hardens nothing; 50 take 0.029 h"
     ):
@@ -49,7 +42,7 @@ def test_the_pace_is_measured_and_the_student_is_as_before(tmp_path: Path) -> No
     student = open_student(write_tiny(tmp_path))
     before = {name: value.clone() for name, value in student.network.state_dict().items()}
     pace = measure_pace(HardenSettings(**FEW), student, Material(box_bodies(), noise_backgrounds()))
-    assert pace.update > pace.cloak_step > 0
+    assert pace > 0
     after = student.network.state_dict()
     assert all(torch.equal(value, after[name]) for name, value in before.items())
 
@@ -59,7 +52,7 @@ def test_hours_become_counts_in_the_record_and_a_resumed_hardening_keeps_them(
 ) -> None:
     monkeypatch.setattr("cloak_core.commands.harden.load_scene", lambda _: box_bodies())
     monkeypatch.setattr("cloak_core.studies.hardening.planning.LEAST_STEPS", 1)
-    monkeypatch.setattr("cloak_core.studies.hardening.planning.measure_pace", lambda *_, **__: Pace(100.0, 1.0))
+    monkeypatch.setattr("cloak_core.studies.hardening.planning.measure_pace", lambda *_: 100.0)
     command = Harden(
         spec=write_tiny(tmp_path),
         out=tmp_path / "out",
@@ -70,9 +63,8 @@ def test_hours_become_counts_in_the_record_and_a_resumed_hardening_keeps_them(
     )
     told = command.run()
     assert (told["step"], told["steps"]) == (3, 3)
-    assert "--hours 0.1: 0 cloaks trained first (0 min), then 3 updates of 1e+02 s (5 min)" in capsys.readouterr().out
-    recorded = json.loads((tmp_path / "out" / "config.json").read_text())["settings"]
-    assert (recorded["steps"], recorded["finished"]) == (3, 0)
+    assert "--hours 0.1: 3 updates of 1e+02 s (5 min)" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "config.json").read_text())["settings"]["steps"] == 3
     command.resume, command.hours = True, 5.0
     assert command.run()["steps"] == 3
 

@@ -23,7 +23,7 @@ from tests.core.fakes import box_bodies, noise_backgrounds
 from tests.detectors.helpers import images
 from tests.detectors.test_torchvision import Case
 
-FEW = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "finished": 0, "size": 64}
+FEW = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "size": 64}
 HERE = find_spec("ultralytics") is not None
 ultralytics = pytest.mark.skipif(not HERE, reason="pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
 TORCHVISION = [
