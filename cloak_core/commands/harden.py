@@ -104,7 +104,8 @@ class Harden(Computing):
             return self.settings
         if self.resume and self.out.exists():
             return recorded_plan(self.settings, self.out)
-        pace = measure_pace(self.settings, student, material)
+        with TrainingProgress(label="timing updates") as progress:
+            pace = measure_pace(self.settings, student, material, progress)
         settings = plan(self.settings, pace, self.hours)
         out.print(planned_words(settings, pace, self.hours))
         return settings

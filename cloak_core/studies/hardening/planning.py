@@ -8,7 +8,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from cloak_core.core.events import read_events
+from cloak_core.core.events import OnEvent, read_events
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.studies.hardening.folder import Material
@@ -40,7 +40,9 @@ def plan(settings: HardenSettings, pace: float, hours: float) -> HardenSettings:
     return replace(settings, steps=steps)
 
 
-def measure_pace(settings: HardenSettings, student: Student, material: Material) -> float:
+def measure_pace(
+    settings: HardenSettings, student: Student, material: Material, on_event: OnEvent | None = None
+) -> float:
     """Measure the seconds that an update takes with all that belongs to it. Arguments as for `harden`.
 
     A few are tried in a folder of their own, and leave the student as it was. Views are rendered anew for each cloak at
@@ -51,7 +53,7 @@ def measure_pace(settings: HardenSettings, student: Student, material: Material)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tried"
         try:
-            tried = harden(few, student, material, out)
+            tried = harden(few, student, material, out, on_event=on_event)
         finally:
             student.network.load_state_dict(before)
         if tried.stopped:

@@ -52,7 +52,8 @@ def test_hours_become_counts_in_the_record_and_a_resumed_hardening_keeps_them(
 ) -> None:
     monkeypatch.setattr("cloak_core.commands.harden.load_scene", lambda _: box_bodies())
     monkeypatch.setattr("cloak_core.studies.hardening.planning.LEAST_STEPS", 1)
-    monkeypatch.setattr("cloak_core.studies.hardening.planning.measure_pace", lambda *_: 100.0)
+    slow = lambda *tried: max(100.0, measure_pace(*tried))
+    monkeypatch.setattr("cloak_core.studies.hardening.planning.measure_pace", slow)
     command = Harden(
         spec=write_tiny(tmp_path),
         out=tmp_path / "out",
@@ -63,7 +64,9 @@ def test_hours_become_counts_in_the_record_and_a_resumed_hardening_keeps_them(
     )
     told = command.run()
     assert (told["step"], told["steps"]) == (3, 3)
-    assert "--hours 0.1: 3 updates of 1e+02 s (5 min)" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "--hours 0.1: 3 updates of 1e+02 s (5 min)" in printed.out
+    assert "timing updates: 10 updates\nstep 1/10" in printed.err, "nobody waits for the plan in silence"
     assert json.loads((tmp_path / "out" / "config.json").read_text())["settings"]["steps"] == 3
     command.resume, command.hours = True, 5.0
     assert command.run()["steps"] == 3
