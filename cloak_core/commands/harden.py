@@ -28,8 +28,8 @@ MOST_HOURS = 10_000
 class Harden(Computing):
     """Harden a detector against cloaks, by adversarial fine-tuning without labels.
 
-    The result is a detector of the same format. Give photographs (--photos) and people in photographs (--people) where
-    there are any: with renders alone it learns less about both.
+    The result is a detector of the same format. Give photographs (--photos) and people in photographs (--people) if
+    you have them: from renders alone the detector learns less about real scenes and real people.
 
     Ctrl-C, or a file named `cancel` in --out, ends it after the current step with everything in place (exit code 3);
     the same command with --resume goes on from there.
@@ -46,8 +46,8 @@ class Harden(Computing):
     resume: bool = False
     """Continue the hardening in --out from its last checkpoint."""
     hours: float | None = None
-    """Plan --steps so that the hardening takes about so many hours: a few updates are tried first, and a line says what
-    will be done. The record holds the count. The cards (--assess) come on top."""
+    """Hours that the hardening may take. A few updates are timed, and --steps is set to fill that time; a line says how
+    many updates that are. The cards come on top (--no-assess leaves them out)."""
     scene: str = "sample:train"
     """Bodies in cloaks: scene folder, .npz, or sample[:train]."""
     backgrounds: str = "procedural:train"

@@ -22,8 +22,8 @@ FINER, LEAST_PART = 2, 0.4
 """Pictures are taken from photographs decoded this many times finer, of at least this share of their side: a detector
 that learns whole photographs by heart reports more in the parts of others."""
 UNTRAINED = 0.4
-"""Share of the textures that nobody trained; the others are those of the last cloaks. The colours of cloaks alone must
-not decide what is a person."""
+"""Probability that a decoy shows a pattern that nobody trained instead of one of the last cloaks. Otherwise the
+detector could tell people by the colours of cloaks alone."""
 MAYBE_PERSON = 0.3
 """A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
 _PICTURES, _DECOYS = 3, 4

@@ -1,4 +1,4 @@
-"""How many updates fit into some hours, from a few that are tried first."""
+"""Set the number of updates that fit into some hours, from the time of a few."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def measure_pace(
 ) -> float:
     """Measure the seconds that an update takes with all that belongs to it. Arguments as for `harden`.
 
-    A few are tried in a folder of their own, and leave the student as it was. Views are rendered anew for each cloak at
-    first, so that these are rather slow ones.
+    A few updates run in a temporary folder, and the student is set back afterwards. They are rather slow ones, because
+    the first updates have to render their views.
     """
     before = {name: value.clone() for name, value in student.network.state_dict().items()}
     few = replace(settings, steps=SLOTS + 1 + TRIED, max_seconds=None)

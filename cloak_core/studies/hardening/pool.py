@@ -59,7 +59,7 @@ WHOLE_BODY = 2
 """One cloak in this many covers the whole body, the largest logo that an attacker has. Without this rule the largest of
 200 drawn logos covered four fifths of a body, and the hardened detector fell to a cloak over all of it."""
 KEPT = 32
-"""So many of the last cloaks are shown on decoys."""
+"""Number of the last cloaks that decoys show."""
 _LOGO, _VIEWS, _CLOTH = 1, 2, 6
 """Streams of random numbers; `pictures` and `hardening` have others."""
 
