@@ -193,15 +193,19 @@ cli.main(sys.argv[1:])
 @pytest.mark.parametrize(
     ("module", "line", "left"),
     [
-        ("scene", "scene info sample", 20),
-        ("scene", "scene sample --out {out}", 20),
-        ("train", "train --scene sample:train --logo chest --out {out} --steps 2 --batch 64", 20),
-        ("train", "train --scene sample:train --logo chest --out {out} --steps 2 --batch 64", 60),
-        ("detectors", "detectors verify builtin", 20),
+        ("scene", "scene info sample", 10),
+        ("scene", "scene sample --out {out}", 10),
+        ("train", "train --scene sample:train --logo chest --out {out} --steps 2 --batch 64", 12),
+        ("train", "train --scene sample:train --logo chest --out {out} --steps 2 --batch 64", 200),
+        ("detectors", "detectors verify builtin", 5),
     ],
 )
 def test_little_memory_is_one_line(module: str, line: str, left: int, tmp_path: Path) -> None:
-    """Torch is loaded and loops are compiled before the limit: what those do without memory is not ours to say."""
+    """The limits are such that an array or a library of some MiB is what finds no room, with a MiB or more left over.
+
+    Where the last KiB are used up, C code of others may crash (a run ended in a segmentation fault), and so may torch
+    while it is loaded and numba while it compiles: both are done before the limit. No Python can put that into words.
+    """
     if module == "train":
         small = "--steps 1 --batch 1 --size 96 --translation 4"
         with pytest.raises(SystemExit, match="0"):
@@ -210,9 +214,8 @@ def test_little_memory_is_one_line(module: str, line: str, left: int, tmp_path: 
     command = [sys.executable, "-c", script, *line.format(out=tmp_path / "out").split()]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    if done.returncode:
-        assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
-        assert "memory" in done.stderr.splitlines()[-1]
+    assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
+    assert "memory" in done.stderr.splitlines()[-1]
 
 
 OLD_RUN = Path(__file__).parents[1] / "old_versions" / "v0.1.0" / "done"
