@@ -51,6 +51,6 @@ else
     .venv/bin/python -m pip install $quiet --disable-pip-version-check -e ".$extras"
 fi
 # The first picture waits for no compiler.
-.venv/bin/python -m cloak_core.sources.bodies.first_view >&2
+.venv/bin/python -m cloak_core.studies.first_view >&2
 # The public SMPL code, to check ours against; its own list of needs would bring chumpy and more, none of it needed.
 [ "${1:-}" != test ] || .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps smplx

@@ -28,10 +28,10 @@ from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.technique import Setup, Techniques
 from cloak_core.core.train import make_batcher
 from cloak_core.core.visibility.threads import torch_threads
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
+from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fitting import Fit
@@ -115,12 +115,12 @@ class Bench:
         if logo_faces is None:
             logo_faces = _clothes(bodies) if people else chest_and_thighs(bodies)
         self.logo = make_logo(bodies, logo_faces)
-        self.worn = Worn.of(settings.pattern, bodies, self.logo)
+        self.pattern = pattern_of(settings.pattern, bodies, self.logo)
         self.plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
-        material = make_material(Training(settings, bodies, self.logo, (), backgrounds, people), self.worn, self.device)
+        material = make_material(Training(settings, bodies, self.logo, (), backgrounds, people), self.device)
         self.is_fresh = material.source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
-        techniques = Techniques.built(Setup(settings, self.worn, [], self.device))
-        self.batcher = make_batcher(settings, material, self.worn, self.device, techniques)
+        techniques = Techniques.built(Setup(settings, self.pattern, [], self.device))
+        self.batcher = make_batcher(settings, material, self.pattern, self.device, techniques)
         # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
         for number in range(self._warm_up_steps()):
             self.batcher.batch(number)
@@ -128,10 +128,10 @@ class Bench:
     def measure(self, detectors: Sequence[Detector], repeats: int) -> dict:
         """Time steps against these detectors together, and their floor: each alone on the ready batch."""
         settings = self.settings
-        techniques = Techniques.built(Setup(settings, self.worn, detectors, self.device))
-        objective = Objective(settings, self.worn.bordered, detectors, self.device, techniques)
-        grey = torch.full((self.worn.color_count, 3), 0.5, device=self.device)
-        optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.worn)
+        techniques = Techniques.built(Setup(settings, self.pattern, detectors, self.device))
+        objective = Objective(settings, self.pattern, detectors, self.device, techniques)
+        grey = torch.full((self.pattern.count, 3), 0.5, device=self.device)
+        optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.pattern)
         ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
         upstream = torch.zeros_like(ready)
         prefetcher = Prefetcher(self.batcher)
@@ -172,7 +172,7 @@ class Bench:
         views = "fresh" if self.is_fresh else "kept"
         record = {"name": " + ".join(dict.fromkeys(detector.name for detector in detectors))}
         record |= clock.record(settings.run.batch) | {"views": views, "logo_faces": len(self.logo)}
-        return record | {"colors": self.worn.color_count}
+        return record | {"colors": self.pattern.count}
 
     def _warm_up_steps(self) -> int:
         views = self.plan.members * self.plan.directions * self.plan.outfit_count

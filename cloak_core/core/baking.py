@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Float32, Int64, UInt8
 from torch import Tensor
 
 from cloak_core.core.cameras import Vector
-from cloak_core.core.cloth import Cloth
 from cloak_core.core.linear import SparseMap, offsets
-from cloak_core.core.view import BakedView, Box, View, box_of
+from cloak_core.core.places import Places
+from cloak_core.core.view import BakedView, Box, Subject, View, box_of
 from cloak_core.core.visibility.backend import backend
 
 
@@ -25,26 +25,20 @@ def bake(
 ) -> BakedView:
     """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
     stage = backend(view.pixels.device)
-    pixels, coverage, base_color, front_count, worn = stage.split(view, logo, colors, light_color, texture)
-    baked = BakedView(view.height, view.width, pixels, coverage, base_color, front_count, worn, light_color, view.box)
+    pixels, coverage, base_color, front_count, shown = stage.split(view, logo, colors, light_color, texture)
     if view.cloth is None:
-        return baked
-    # The logo's entries keep their order.
-    is_logo = torch.zeros(len(colors), dtype=torch.bool, device=logo.device).index_fill_(0, logo, True)
-    return replace(baked, cloth=view.cloth[:, is_logo[view.map.column]])
-
-
-def on_cloth(view: BakedView, cloth: Cloth, away: tuple[float, float] = (0.0, 0.0)) -> BakedView:
-    """Turn a view of a logo's faces into one of a cloth's squares, laid `away` metres right and down.
-
-    The view tells where on a cloth its entries lie and how far they reach (`ViewCache(on_cloth=True)`): each shows the
-    mean of the squares there, so that the cloth is seen as finely as the image can show it.
-    """
-    shift = torch.tensor(away, dtype=torch.float32, device=view.cloth.device).unsqueeze(1)
-    squares = backend(view.pixels.device).squares_under(cloth, view.cloth[:2] + shift, view.cloth[2:])
-    weight = squares.weight * view.map.weight.index_select(0, squares.row)
-    worn = replace(squares, crow=squares.crow.index_select(0, view.map.crow), weight=weight)
-    return replace(view, map=worn, cloth=None)
+        places = Places.of_faces(len(logo), view.pixels.device)
+    else:
+        # The logo's entries keep their order; each is a place of its own.
+        is_logo = torch.zeros(len(colors), dtype=torch.bool, device=logo.device).index_fill_(0, logo, True)
+        places = Places.on_cloth(shown.column, view.cloth[:, is_logo[view.map.column]], len(logo))
+        entries = torch.arange(len(shown), device=logo.device)
+        shown = replace(shown, column=entries, width=len(shown), has_own_columns=True)
+    own = colors.index_select(0, logo)
+    sides = view.height, view.width
+    return BakedView(
+        *sides, pixels, coverage, base_color, front_count, shown, places, own, light_color, Subject(view.box)
+    )
 
 
 def baked_view(
@@ -90,6 +84,9 @@ def baked_view(
         face = face[entry]
         weight = weight[entry]
     known = (cover >= 0.5).view(height, width) if mask is None else mask
+    subject = Subject(
+        box_of(known) if box is None else box, others or (), others is None, None if mask is None else lambda: mask
+    )
     return BakedView(
         height,
         width,
@@ -98,9 +95,9 @@ def baked_view(
         base_image.to(device).reshape(3, -1)[:, pixels].float().contiguous(),
         len(logo) + len(edge),
         SparseMap(offsets(torch.repeat_interleave(per_pixel[logo]), len(logo)), face, weight, logo_count),
+        Places.of_faces(logo_count, device),
+        torch.zeros(logo_count, 3, device=device),
         light_color,
-        box_of(known) if box is None else box,
-        mask,
+        subject,
         provenance or {},
-        others=others,
     )

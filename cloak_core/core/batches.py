@@ -9,16 +9,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cloak_core.core.paint import Canvas, blank, lay_backdrop, true_boxes
+from cloak_core.core.images import ImageSet, dressed, is_alone, other_boxes
+from cloak_core.core.paint import Canvas, true_boxes
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.sampling import Draws, Sampler
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.components import AugmentationSettings
 from cloak_core.core.settings.values import Range
 from cloak_core.core.source import Backdrops
 from cloak_core.core.technique import NO_TECHNIQUES, Distortions, Techniques
-from cloak_core.core.view import BakedView
-from cloak_core.core.visibility.threads import MOST_WORKERS, spread, torch_threads, workers
-from cloak_core.core.worn import Worn
+from cloak_core.core.visibility.threads import MOST_WORKERS, torch_threads, workers
 
 
 @dataclass(frozen=True)
@@ -76,71 +76,55 @@ class Batcher:
         settings: TrainSettings,
         sampler: Sampler,
         backgrounds: Backdrops,
-        worn: Worn,
+        pattern: Pattern,
         device: torch.device,
         techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
         """Make what builds batches of the sampler's draws."""
         self.sampler = sampler
-        self.source = sampler.source
-        self.backgrounds = backgrounds
         self.augmentation = settings.augmentation
         self.size = settings.views.size
-        self.worn = worn
+        self.images = ImageSet(sampler.source, backgrounds, (self.size, self.size), device)
+        self.pattern = pattern
         self.device = device
         self.techniques = techniques
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
-        """Build the images of `step`, or one process's share of them."""
+        """Build the images of `step`, or one process's part of them."""
         draws = self.sampler.draw(step).share(rank, ranks)
         settings, size = self.augmentation, self.size
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
             return Batch(empty, None, None, Distortions())
-        views = spread(lambda drawn: self.source.view(*drawn).to(self.device), draws.views(), self._workers())
-        rows = blank(len(views), size, size, self.device)
-        # Behind a photograph, which no shift moves, nothing is seen: a drawn scene takes longer than its view.
-        behind = [
-            None if view.others is not None and view.is_whole else self.backgrounds.image(index, (size, size))
-            for view, index in zip(views, draws.background.tolist(), strict=True)
-        ]
-        lay_backdrop(rows, behind, (size, size))
+        views = self.images.make_views(draws.views(), self.pattern, self._workers())
+        rows = self.images.backdrop(views, draws.background)
         # A photograph is moved by the part of it that is shown.
-        is_photograph = np.array([view.others is not None for view in views])
-        moved = torch.from_numpy(np.where(is_photograph[:, None], 0, draws.shift))
-        shifts = moved.to(self.device, non_blocking=True)
+        alone = is_alone(views)
+        shifts = torch.where(alone[:, None], torch.from_numpy(draws.shift), 0).to(self.device, non_blocking=True)
         distorted = self.techniques.distortions(draws.seed, self.device)
         hidden = self.techniques.hidden(draws.seed)
         return Batch(
             empty,
-            Canvas.of(views, rows, shifts),
-            LogoChange.draw(draws, settings, self.worn.color_count, self.device) if is_photometric(settings) else None,
+            dressed(views, self.pattern, rows, shifts),
+            LogoChange.draw(draws, settings, self.pattern.count, self.device) if is_photometric(settings) else None,
             distorted,
             None if hidden is None else torch.from_numpy(hidden).to(self.device),
             distorted.boxes(true_boxes(views, shifts), size, size),
-            self._company(views, distorted),
+            None if alone.all() else self._company(other_boxes(views), alone, distorted),
         )
 
     def _workers(self) -> int:
         """Choose how many threads make views. Threads that only look views up, or start a GPU's work, would wait for
         each other; a GPU that trains leaves the cores to those who make views on the CPU."""
-        works_on = self.source.works_on
-        if not self.source.is_fresh or works_on.type != "cpu":
+        source = self.sampler.source
+        if not source.is_fresh or source.works_on.type != "cpu":
             return 1
-        return workers(works_on) if self.device.type == "cpu" else min(_cores(), MOST_WORKERS)
+        return workers(source.works_on) if self.device.type == "cpu" else min(_cores(), MOST_WORKERS)
 
-    def _company(self, views: list[BakedView], distorted: Distortions) -> Company | None:
-        anywhere = torch.tensor([view.others is None for view in views])
-        if anywhere.all():
-            return None
-        boxes = [view.others or () for view in views]
-        others = torch.zeros(len(views), max(map(len, boxes)), 4)
-        for k, of_image in enumerate(boxes):
-            others[k, : len(of_image)] = torch.tensor(of_image, dtype=torch.float32).reshape(-1, 4)
+    def _company(self, others: Float[Tensor, "B K 4"], alone: Bool[Tensor, " B"], distorted: Distortions) -> Company:
         others = others.to(self.device)
         moved = [distorted.boxes(others[:, k], self.size, self.size) for k in range(others.shape[1])]
-        others = torch.stack(moved, dim=1) if moved else others
-        return Company(others, anywhere.to(self.device))
+        return Company(torch.stack(moved, dim=1) if moved else others, alone.to(self.device))
 
 
 class Prefetcher:

@@ -7,36 +7,32 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.technique import NO_TECHNIQUES, Techniques
-from cloak_core.core.worn import Worn
 
 
 class Coloring:
     """Makes C colours of free parameters: rows for `free`, then N values, then rows for `choose`.
 
-    In this order: `free`, the sigmoid (gamut sigmoid), `mix`, `tone`, `choose`, patches, `keep`.
+    In this order: `free`, the sigmoid (gamut sigmoid), `mix`, `tone`, `choose`, the pattern's `spread`, `keep`.
     """
 
     def __init__(
-        self, techniques: Techniques = NO_TECHNIQUES, worn: Worn | None = None, is_sigmoid: bool = False
+        self, techniques: Techniques = NO_TECHNIQUES, pattern: Pattern | None = None, is_sigmoid: bool = False
     ) -> None:
         self.is_sigmoid = is_sigmoid
-        self._worn = worn
+        self._pattern = pattern or Pattern()
         self._free, self._mix, self._tone, self._choose, self._keep = map(
             techniques.at, ("free", "mix", "tone", "choose", "keep")
         )
-        patch = None if worn is None else worn.patch
-        self._patch = None if patch is None else torch.from_numpy(patch)
-        is_plain = patch is None and not self._mix and not self._tone and not self._choose
+        is_shared = pattern is not None and pattern.value_count < pattern.count
+        is_plain = not is_shared and not self._mix and not self._tone and not self._choose
         self.is_direct = is_plain and not is_sigmoid and not self._free
         """Whether parameters are the colours."""
 
     def begin(self, first: Float[Tensor, "C 3"]) -> Float[Tensor, "P 3"]:
         """Find parameters that come out as these colours, or near them, before anything is chosen."""
-        values = first
-        if self._patch is not None:
-            values = torch.from_numpy(self._worn.means(first.cpu().numpy())).to(first)
-            self._patch = self._patch.to(first.device)
+        values = torch.from_numpy(self._pattern.means(first.cpu().numpy())).to(first)
         if self._tone:
             values = torch.from_numpy(self._untoned(values.cpu().numpy())).to(first)
         chosen = [
@@ -55,7 +51,7 @@ class Coloring:
         values = self._toned(values)
         for technique, rows in zip(self._choose, chosen, strict=True):
             values = technique.choose(values, rows, self._toned, is_final)
-        colors = values if self._patch is None else values[self._patch]
+        colors = self._pattern.spread(values)
         if not self._keep:
             return colors
         # Straight through: what is cut off may still come back.

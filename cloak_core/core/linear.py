@@ -1,7 +1,7 @@
-"""The one sparse map: rows x columns, constant in every gradient.
+"""Linear maps, constant in every gradient: sparse matrices, and chains of maps that are applied one after the other.
 
-Whatever is linear between the colours and the pixels is such a map: faces to pixels, squares of a cloth to places on
-it, grids to faces, neighbours to their mean. Maps compose (`@`), and applying one is differentiable in the values.
+Whatever is linear between the colours and the pixels is such a map: places on clothes to pixels, colours of a pattern
+to places, grids to faces, neighbours to their mean. Maps compose (`@`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -18,12 +19,63 @@ from jaxtyping import Float, Int64
 from scipy import sparse
 from torch import Tensor
 
+from cloak_core.core.visibility.compiled import loop, use_loops
+
 with warnings.catch_warnings():
     # torch says once per process that its sparse matrices are young; users can do nothing with that.
     warnings.simplefilter("ignore")
     torch.sparse_csr_tensor(
         torch.tensor([0, 1]), torch.tensor([0]), torch.tensor([1.0]), (1, 1), check_invariants=False
     )
+
+
+@runtime_checkable
+class LinearMap(Protocol):
+    """What a `SparseMap` and a `Chain` have in common."""
+
+    @property
+    def height(self) -> int: ...
+
+    @property
+    def width(self) -> int: ...
+
+    def apply(self, values: Float[Tensor, "C K"]) -> Float[Tensor, "R K"]:
+        """Map values, without a graph."""
+
+    def adjoint(self, upstream: Float[Tensor, "R K"]) -> Float[Tensor, "C K"]:
+        """Map a gradient back, without a graph."""
+
+    def __matmul__(self, other: SparseMap) -> LinearMap:
+        """Compose two maps, this one after the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Two maps applied in turn: cheaper than their product where it is used once."""
+
+    outer: LinearMap
+    inner: SparseMap
+
+    @property
+    def height(self) -> int:
+        """Number of rows."""
+        return self.outer.height
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.inner.width
+
+    def apply(self, values: Float[Tensor, "C K"]) -> Float[Tensor, "R K"]:
+        """See `LinearMap`."""
+        return self.outer.apply(self.inner.apply(values))
+
+    def adjoint(self, upstream: Float[Tensor, "R K"]) -> Float[Tensor, "C K"]:
+        """See `LinearMap`."""
+        return self.inner.adjoint(self.outer.adjoint(upstream))
+
+    def __matmul__(self, other: SparseMap) -> Chain:
+        return Chain(self.outer, self.inner @ other)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +88,21 @@ class SparseMap:
     weight: Float[Tensor, " E"]
     width: int
     """Number of columns."""
+    is_identity: bool = False
+    has_own_columns: bool = False
+    """Whether entry e is in column e, so that composing is a gather of the other map's rows."""
+
+    @staticmethod
+    def identity(count: int, device: torch.device | str = "cpu") -> SparseMap:
+        """Make the map that changes nothing."""
+        rows = torch.arange(count + 1, device=device)
+        return SparseMap(rows, rows[:-1], torch.ones(count, device=device), count, is_identity=True)
+
+    @staticmethod
+    def empty(height: int, width: int = 0, device: torch.device | str = "cpu") -> SparseMap:
+        """Make a map without entries."""
+        none = torch.zeros(0, dtype=torch.int64, device=device)
+        return SparseMap(none.new_zeros(height + 1), none, none.float(), width)
 
     @property
     def height(self) -> int:
@@ -73,25 +140,45 @@ class SparseMap:
         """Apply the map to values, differentiably: the gradient is a product with the transpose."""
         return _Product.apply(values, self)
 
+    def apply(self, values: Float[Tensor, "C K"]) -> Float[Tensor, "R K"]:
+        """See `LinearMap`."""
+        if not use_loops(values.device):
+            return self.matrix @ values
+        result = values.new_empty(self.height, values.shape[1])
+        _apply(*self.arrays, values.contiguous().numpy(), result.numpy())
+        return result
+
+    def adjoint(self, upstream: Float[Tensor, "R K"]) -> Float[Tensor, "C K"]:
+        """See `LinearMap`."""
+        if not use_loops(upstream.device):
+            return self.transposed.matrix @ upstream
+        result = upstream.new_zeros(self.width, upstream.shape[1])
+        _add_adjoint(*self.arrays, upstream.contiguous().numpy(), result.numpy())
+        return result
+
     def __matmul__(self, other: SparseMap) -> SparseMap:
-        """Compose two maps, this one after the other. Entries of one place are summed, columns ascend within rows."""
+        """Compose two maps, this one after the other.
+
+        Entries of one place are summed and columns ascend within rows, but where this map `has_own_columns`.
+        """
+        if other.is_identity:
+            return self
+        if self.has_own_columns:
+            weight = other.weight * self.weight.index_select(0, other.row)
+            return SparseMap(other.crow.index_select(0, self.crow), other.column, weight, other.width)
         if self.crow.device.type == "cpu":
             return SparseMap.from_scipy(self.to_scipy() @ other.to_scipy())
         product = torch.sparse.mm(self.matrix, other.matrix)
         return SparseMap(product.crow_indices(), product.col_indices(), product.values(), other.width)
 
-    def scaled(self, factor: Float[Tensor, " R"]) -> SparseMap:
-        """Multiply each row by a factor."""
-        return replace(self, weight=self.weight * factor.index_select(0, self.row))
-
     def row_sums(self) -> Float[Tensor, " R"]:
         """Sum the weights of each row."""
-        return self.weight.new_zeros(self.height).index_add_(0, self.row, self.weight)
+        return self.apply(self.weight.new_ones(self.width, 1))[:, 0]
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> SparseMap:
         """Copy the map to a device, its weights to a type."""
         weight = self.weight.to(device, dtype or self.weight.dtype)
-        return SparseMap(self.crow.to(device), self.column.to(device), weight, self.width)
+        return replace(self, crow=self.crow.to(device), column=self.column.to(device), weight=weight)
 
     def to_scipy(self) -> sparse.csr_matrix:
         """Give a scipy matrix that shares the memory."""
@@ -139,6 +226,24 @@ class _Product(torch.autograd.Function):
     @staticmethod
     def backward(ctx: object, upstream: Tensor) -> tuple[Tensor, None]:
         return ctx.applied.transposed.matrix @ upstream, None
+
+
+@loop
+def _apply(crow, column, weight, values, result):
+    for row in range(len(crow) - 1):
+        for k in range(values.shape[1]):
+            result[row, k] = 0
+        for entry in range(crow[row], crow[row + 1]):
+            for k in range(values.shape[1]):
+                result[row, k] += weight[entry] * values[column[entry], k]
+
+
+@loop
+def _add_adjoint(crow, column, weight, upstream, result):
+    for row in range(len(crow) - 1):
+        for entry in range(crow[row], crow[row + 1]):
+            for k in range(upstream.shape[1]):
+                result[column[entry], k] += weight[entry] * upstream[row, k]
 
 
 def offsets(rows: Int64[Tensor, " E"], count: int) -> Int64[Tensor, " R1"]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,7 @@ from cloak_core.core.geometry import face_areas, face_centres, face_normals, inn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays, sha256_record
 
 FRONT_BY_DEFAULT = ("chest", "thighs")
 FACETS = ("front", "back", "all")
@@ -31,22 +33,33 @@ DIRECTIONS = {"front": (2, 1.0), "back": (2, -1.0), "left": (0, 1.0), "right": (
 
 
 @dataclass(frozen=True, eq=False)
-class Logo:
-    """A set of faces of one topology, with the edges between them (total variation runs over these)."""
+class Cover:
+    """A set of faces of one topology: where something is worn."""
 
     face_ids: np.ndarray
     """[L] int64, sorted, unique."""
+    topology: str
+    """Hash of the mesh that they belong to."""
+
+    def __len__(self) -> int:
+        return len(self.face_ids)
+
+    @cached_property
+    def key(self) -> str:
+        """SHA-256 (hex) of topology and faces."""
+        return sha256_record([self.topology, sha256_arrays(self.face_ids)])
+
+
+@dataclass(frozen=True, eq=False)
+class Logo(Cover):
+    """Faces of a body that training may colour, with the edges between them (total variation runs over these)."""
+
     face_count: int
     """Faces of the whole body."""
-    topology: str
-    """Hash of the mesh that it belongs to."""
     edges: np.ndarray
     """[E, 2] int64 positions in `face_ids`, lower first."""
     edge_lengths: np.ndarray
     """[E] float64 metres, in the first pose."""
-
-    def __len__(self) -> int:
-        return len(self.face_ids)
 
 
 def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
@@ -61,7 +74,7 @@ def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
         beyond = ids[0] if ids[0] < 0 else ids[-1]
         raise InputError(f"face id {beyond} is beyond the {bodies.face_count} faces of scene '{bodies.name}'")
     edges, lengths = inner_edges(bodies, ids)
-    return Logo(ids, bodies.face_count, bodies.topology, edges, lengths)
+    return Logo(ids, bodies.topology, bodies.face_count, edges, lengths)
 
 
 def load_logo(bodies: Bodies, path: str | os.PathLike | None = None, *, region: str | None = None) -> Logo:

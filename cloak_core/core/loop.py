@@ -236,7 +236,7 @@ class TrainingLoop:
         face's centre.
         """
         is_exact = any(technique.is_exact for technique in self.techniques)
-        return self.batcher.worn.on_faces(_as_array(colors), is_exact)
+        return self.batcher.pattern.on_faces(_as_array(colors), is_exact)
 
     def _save(self) -> None:
         """Write a checkpoint and the colours."""
@@ -248,7 +248,7 @@ class TrainingLoop:
 
     def _write_snapshot(self) -> None:
         colors = self.optimizer.finished()
-        self.run.write_snapshot(self.step, self._on_faces(colors), self.batcher.worn.picture(_as_array(colors)))
+        self.run.write_snapshot(self.step, self._on_faces(colors), self.batcher.pattern.picture(_as_array(colors)))
 
     def _show(self) -> None:
         """Write the colours every now and then, for whoever watches."""
@@ -258,7 +258,7 @@ class TrainingLoop:
     def _write_colors(self) -> None:
         """Write the cloth, where one is trained, then the faces' colours: whoever watches these finds both new."""
         colors = self.optimizer.finished()
-        picture = self.batcher.worn.picture(_as_array(colors))
+        picture = self.batcher.pattern.picture(_as_array(colors))
         if picture is not None:
             self.run.write_cloth(picture)
         write_colors(self.run.colors, self._on_faces(colors))

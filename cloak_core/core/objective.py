@@ -12,9 +12,9 @@ from cloak_core.core.detector.outcomes import as_anything, only_hers
 from cloak_core.core.detector.protocol import Detections, Detector, join_detections
 from cloak_core.core.detector.scoring import is_detected
 from cloak_core.core.ensemble import Ensemble
-from cloak_core.core.logo import Logo
 from cloak_core.core.losses import person_loss, total_variation
 from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.technique import NO_TECHNIQUES, Techniques
 from cloak_core.core.world import ALONE, World
@@ -40,7 +40,7 @@ class Objective:
     def __init__(
         self,
         settings: TrainSettings,
-        logo: Logo,
+        pattern: Pattern,
         detectors: Sequence[Detector],
         device: torch.device,
         techniques: Techniques = NO_TECHNIQUES,
@@ -50,8 +50,8 @@ class Objective:
         self.detectors = detectors
         self.techniques = techniques
         self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)
-        self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
-        self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
+        self.edges = torch.as_tensor(pattern.edges, dtype=torch.int64, device=device)
+        self.edge_lengths = torch.as_tensor(pattern.edge_lengths, dtype=torch.float32, device=device)
 
     def penalty(self, colors: Float[Tensor, "L 3"]) -> tuple[float, Float[Tensor, ""]]:
         """Compute what techniques add to the loss: a weight, and what it weighs; 0 without any."""

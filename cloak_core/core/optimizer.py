@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.coloring import Coloring
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.components import OptimizerSettings
 from cloak_core.core.technique import NO_TECHNIQUES, Techniques
-from cloak_core.core.worn import Worn
 
 _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
@@ -49,11 +49,11 @@ class ColorOptimizer:
         settings: OptimizerSettings,
         initial: Float[Tensor, "C 3"],
         techniques: Techniques = NO_TECHNIQUES,
-        worn: Worn | None = None,
+        pattern: Pattern | None = None,
     ) -> None:
-        """Begin with parameters that make the colours `initial`, or near them; worn: where colours share values."""
+        """Begin with parameters that make the colours `initial`, or near them; pattern: where colours share values."""
         self.settings = settings
-        self._coloring = Coloring(techniques, worn, settings.gamut == "sigmoid")
+        self._coloring = Coloring(techniques, pattern, settings.gamut == "sigmoid")
         self._parameter = self._coloring.begin(initial).requires_grad_()
         movers = [technique for technique in techniques.at("move") if technique.choice[1] == settings.optimizer]
         if movers:

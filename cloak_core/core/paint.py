@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float32, Int64, Integer, UInt8
 from torch import Tensor
 from torch.autograd.graph import increment_version
 
+from cloak_core.core.linear import LinearMap
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.backend import LogoMatrix, backend
 
@@ -29,6 +30,7 @@ def compose(
 ) -> Float32[Tensor, "B 3 H W"]:
     """Render B baked views of one logo over B backgrounds.
 
+    The places of the views have colours themselves (`Places.of_faces`).
     colors: the logo's, for all images [L, 3] or for each [B, L, 3]. shifts: (dx, dy) in whole pixels, right and down,
     by which the body moves; what leaves the image is lost. Returns images in [0, 1], never NaN for finite input.
     """
@@ -78,19 +80,13 @@ class Canvas:
     """L."""
 
     @staticmethod
-    def alone(views: Sequence[BakedView]) -> Canvas:
-        """Composite views that need no background, as their coverage is 1 everywhere (photographs); else over black."""
-        rows = blank(len(views), views[0].height, views[0].width, views[0].pixels.device).zero_()
-        return Canvas.of(views, rows)
-
-    @staticmethod
     def before(
         views: Sequence[BakedView],
         backgrounds: Float32[Tensor, "B 3 H W"],
         shifts: Integer[Tensor, "B 2"] | None = None,
     ) -> Canvas:
         """Composite B bodies without their logo over a copy of these backgrounds."""
-        _check(views, (len(backgrounds), *backgrounds.shape[2:]))
+        _check(views, [view.map for view in views], (len(backgrounds), *backgrounds.shape[2:]))
         rows = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
         pixels_of(rows, backgrounds.shape).copy_(backgrounds)
         return Canvas.of(views, rows, shifts)
@@ -100,17 +96,21 @@ class Canvas:
         views: Sequence[BakedView],
         rows: Float32[Tensor, "P 3"],
         shifts: Integer[Tensor, "B 2"] | None = None,
+        maps: Sequence[LinearMap] | None = None,
     ) -> Canvas:
-        """Composite B bodies without their logo over the backgrounds in `rows` (see `blank`), in place."""
-        _check(views, (len(views), views[0].height, views[0].width))
+        """Composite B bodies without what they wear over the backgrounds in `rows` (see `blank`), in place.
+
+        maps: of each view's first M pixels x colours; None: the places are what has colours.
+        """
+        maps = [view.map for view in views] if maps is None else maps
+        _check(views, maps, (len(views), views[0].height, views[0].width))
         stage = backend(rows.device)
         scale = None
         if any(view.light_color != (1.0, 1.0, 1.0) for view in views):
             scale = torch.tensor([[view.light_color] for view in views], device=rows.device)
         base, target = stage.draw_bodies(views, rows, shifts)
-        logo = stage.logo_matrix(views)
         shape = (len(views), 3, views[0].height, views[0].width)
-        return Canvas(rows, shape, base, target, logo, scale, views[0].map.width)
+        return Canvas(rows, shape, base, target, stage.logo_matrix(maps), scale, maps[0].width)
 
     def paint(self, colors: Float32[Tensor, "*B L 3"]) -> Float32[Tensor, "B 3 H W"]:
         """Draw the images with these colours, as `compose` does. The next call draws into the same memory."""
@@ -123,10 +123,10 @@ class Canvas:
         return _Paint.apply(colors, self)
 
 
-def _check(views: Sequence[BakedView], expected: tuple[int, int, int]) -> None:
+def _check(views: Sequence[BakedView], maps: Sequence[LinearMap], expected: tuple[int, int, int]) -> None:
     if len(views) != expected[0] or any((view.height, view.width) != expected[1:] for view in views):
         raise ValueError("views and backgrounds differ in number or size")
-    if any(view.map.width != views[0].map.width for view in views):
+    if any(each.width != maps[0].width for each in maps):
         raise ValueError("views are baked for logos of different sizes")
 
 
@@ -141,16 +141,17 @@ def true_boxes(views: Sequence[BakedView], shifts: Integer[Tensor, "B 2"] | None
 
 
 def body_masks(views: Sequence[BakedView], shifts: Integer[Tensor, "B 2"] | None = None) -> Bool[Tensor, "B H W"]:
-    """Mark the pixels that each body covers by half or more, shifted like the body; what leaves the image is lost."""
-    device, (height, width) = views[0].pixels.device, (views[0].height, views[0].width)
-    masks = torch.zeros(len(views), height, width, dtype=torch.bool, device=device)
-    for k, view in enumerate(views):
-        pixels = view.pixels[view.coverage >= 0.5].long()
-        right, down = (0, 0) if shifts is None else shifts[k].tolist()
-        x, y = pixels % width + right, pixels // width + down
-        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        masks[k, y[inside], x[inside]] = True
-    return masks
+    """Mark each person's pixels, shifted like the body; what leaves the image is lost."""
+    masks = torch.stack([view.mask for view in views])
+    if shifts is None:
+        return masks
+    moved = torch.zeros_like(masks)
+    for k, (right, down) in enumerate(shifts.tolist()):
+        y, x = masks[k].nonzero(as_tuple=True)
+        y, x = y + down, x + right
+        inside = (x >= 0) & (x < masks.shape[2]) & (y >= 0) & (y < masks.shape[1])
+        moved[k, y[inside], x[inside]] = True
+    return moved
 
 
 class _Paint(torch.autograd.Function):

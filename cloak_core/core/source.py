@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.view import BakedView
 
 _CHOICE = 4
@@ -48,17 +49,16 @@ class Plan(Protocol):
 
 @runtime_checkable
 class Source(Plan, Protocol):
-    """Shows what is worn. What an image shows is a function of its columns (`draw`) and its seed alone."""
+    """Makes views. What an image shows is a function of its columns (`draw`), its seed and what is worn alone."""
 
     works_on: torch.device
     """What makes its views."""
 
-    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
-        """Make one image's view, of its columns."""
-        ...
+    def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
+        """Make one image's view, of its columns, with places on the faces that the pattern covers.
 
-    def undressed(self, shown: Mapping[str, int | float], seed: int) -> BakedView | None:
-        """The same view as it is without what is worn; None: it has to be painted in some clothing."""
+        seed: of the image; None: nothing is drawn at random, as judging has it.
+        """
         ...
 
 
@@ -108,10 +108,6 @@ class Mixture:
         chosen = np.random.default_rng([self.seed, _CHOICE, dealt.step]).random(len(dealt.images)) < self.rate
         return self.first.draw(dealt, random) | self.second.draw(dealt, random) | {"second": chosen}
 
-    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
+    def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         """See `Source`."""
-        return (self.second if shown["second"] else self.first).view(shown, seed)
-
-    def undressed(self, shown: Mapping[str, int | float], seed: int) -> BakedView | None:
-        """See `Source`."""
-        return (self.second if shown["second"] else self.first).undressed(shown, seed)
+        return (self.second if shown["second"] else self.first).view(shown, seed, pattern)

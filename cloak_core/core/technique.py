@@ -25,8 +25,8 @@ from jaxtyping import Bool, Float, Int
 from cloak_core.files.lazy import Lazy
 
 if TYPE_CHECKING:
+    from cloak_core.core.pattern import Pattern
     from cloak_core.core.settings import TrainSettings
-    from cloak_core.core.worn import Worn
 
 torch = Lazy("torch")
 ROOM = "cloak_core.techniques"
@@ -37,8 +37,8 @@ class Setup:
     """What a technique may know when it is built."""
 
     settings: TrainSettings
-    worn: Worn
-    """What has colours: faces, patches, or the squares of a cloth."""
+    pattern: Pattern
+    """What has colours."""
     detectors: Sequence
     device: torch.device
 

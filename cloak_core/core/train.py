@@ -2,7 +2,7 @@
 
 One step: draw views, backgrounds and augmentations; compose the images; ask the detectors; move the colours against the
 gradient of the loss; keep them in [0, 1]. This puts the parts together; `loop` has the steps. What makes the views
-(`source`), what is worn (`worn`) and which techniques act is the caller's choice.
+(`source`), what is worn (`pattern`) and which techniques act is the caller's choice.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from cloak_core.core.events import OnEvent
 from cloak_core.core.loop import RunResult, TrainingLoop
 from cloak_core.core.objective import Objective
 from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.run_folder import RunFolder, open_run
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings
@@ -30,7 +31,6 @@ from cloak_core.core.source import Backdrops, Source
 from cloak_core.core.stopping import stop_request
 from cloak_core.core.technique import Techniques
 from cloak_core.core.world import World, local_device
-from cloak_core.core.worn import Worn
 from cloak_core.files.errors import InputError
 
 
@@ -47,7 +47,7 @@ class Job:
     """One training."""
 
     settings: TrainSettings
-    worn: Worn
+    pattern: Pattern
     first: Float[np.ndarray, "C 3"]
     """The colours to begin with."""
     techniques: Techniques
@@ -62,7 +62,7 @@ class Job:
 def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, world: World) -> RunResult:
     """Train into the run folder `out`, in each process of `world`. InputError: the folder, a detector that changed."""
     settings = job.settings
-    worn = job.worn
+    pattern = job.pattern
     techniques = job.techniques
     device = local_device(settings.compute.device)
     search = None
@@ -71,25 +71,25 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
         # By name: who reads how training goes need not read how searching does.
         search = importlib.import_module("cloak_core.core.black_box")
     drawn = settings if search is None else search.search_settings(settings, len(job.detectors))
-    batcher = make_batcher(drawn, job.trained, worn, device, techniques)
+    batcher = make_batcher(drawn, job.trained, pattern, device, techniques)
     first = torch.from_numpy(job.first).to(device)
     with contextlib.ExitStack() as stack:
 
         def enter_folder() -> RunFolder:
-            return stack.enter_context(open_run(out, job.config, worn.logo, resume))
+            return stack.enter_context(open_run(out, job.config, pattern.cover, resume))
 
         run = world.on_rank0(enter_folder) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
-        objective = Objective(drawn, worn.bordered, job.detectors, device, techniques)
+        objective = Objective(drawn, pattern, job.detectors, device, techniques)
         if search is None:
-            optimizer = ColorOptimizer(settings.optimization, first, techniques, worn)
+            optimizer = ColorOptimizer(settings.optimization, first, techniques, pattern)
             loop = TrainingLoop(settings, run, batcher, objective, optimizer, on_event, world)
         else:
             prior = None
             if job.query_prior:
-                asked = Objective(drawn, worn.logo, job.query_prior, device, techniques)
-                prior = search.QueryPrior(asked, worn.centres)
-            loop = search.Search(drawn, run, batcher, objective, first, on_event, world, worn.centres, prior)
+                asked = Objective(drawn, pattern, job.query_prior, device, techniques)
+                prior = search.QueryPrior(asked, pattern.centres)
+            loop = search.Search(drawn, run, batcher, objective, first, on_event, world, pattern.centres, prior)
         result = loop.run_to_end(stop)
     for detector, record in zip(job.detectors, job.config["detectors"], strict=True):
         detector.verify(record["sha256"])
@@ -97,11 +97,11 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
 
 
 def make_batcher(
-    settings: TrainSettings, material: Material, worn: Worn, device: torch.device, techniques: Techniques
+    settings: TrainSettings, material: Material, pattern: Pattern, device: torch.device, techniques: Techniques
 ) -> Batcher:
     """Make what draws and builds a run's batches."""
     sampler = Sampler(settings, material.source, len(material.backgrounds))
-    return Batcher(settings, sampler, material.backgrounds, worn, device, techniques)
+    return Batcher(settings, sampler, material.backgrounds, pattern, device, techniques)
 
 
 def _require_plain(job: Job, world: World) -> None:

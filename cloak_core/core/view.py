@@ -1,12 +1,12 @@
 """The data that rendering passes on: screen, visible samples, fragments, views, baked views.
 
-A view is a sparse linear map from face colours to pixels. Two sources make views: the rasterizer (a pose seen by a
-camera), and photographs of people onto whose clothes faces are laid (`baking.baked_view`).
+A view is a linear map from places on clothes to pixels. Two sources make views: the rasterizer (a pose seen by a
+camera), and photographs of people onto whose clothes faces are laid.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TypeVar
@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from torch import Tensor
 
 from cloak_core.core.cameras import Number, Vector
-from cloak_core.core.linear import SparseMap
+from cloak_core.core.linear import LinearMap, SparseMap
+from cloak_core.core.places import Places
 from cloak_core.core.visibility.compiled import arrays
 from cloak_core.core.visibility.packing import triangle_ids
 from cloak_core.core.visibility.settings import Light
@@ -201,11 +202,25 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class BakedView:
-    """A view in which all but the colours worn is a constant base image: N covered pixels.
+class Subject:
+    """Whom an image shows, and whose boxes count there."""
 
-    Pixels are ordered by what a render does with them: first the M that the logo touches, then, up to `front_count`,
-    the others that the background shows through, then the rest.
+    box: Box
+    """The person's true box, which detections are compared with; before any shift of the image."""
+    others: tuple[Box, ...] = ()
+    """Boxes of the other people."""
+    is_alone: bool = True
+    """Nobody else can be in the image (a render), so that every box counts."""
+    find_mask: Callable[[], Bool[Tensor, "H W"]] | None = None
+    """Finds the person's pixels, where they are known better than by coverage."""
+
+
+@dataclass(frozen=True, eq=False)
+class BakedView:
+    """A view in which all but the colours of what is worn is a constant base image: N covered pixels.
+
+    Pixels are ordered by what a render does with them: first the M that show places on the clothes, then, up to
+    `front_count`, the others that the background shows through, then the rest.
     """
 
     height: int
@@ -215,24 +230,51 @@ class BakedView:
     base_color: Float32[Tensor, "3 N"]
     """What other faces, the highlight or the photograph add to each pixel; not clamped."""
     front_count: int
-    map: SparseMap
-    """The first M pixels x the L colours worn: of the logo's faces, in their order, or of a cloth's squares."""
+    map: LinearMap
+    """The first M pixels x P places: each place's share of the pixel times its light."""
+    places: Places
+    own: Float32[Tensor, "K 3"]
+    """Colours of the own clothing on the places, as `places.own` maps them; none where `base_color` shows it."""
     light_color: Vector
-    """Scales the logo's colours."""
-    box: Box
-    """The person's true box, which detections are compared with."""
-    mask: Bool[Tensor, "H W"] | None = None
-    """The person's pixels, where they are known better than by coverage."""
+    """Scales the colours of what is worn."""
+    subject: Subject
     provenance: Mapping[str, object] = field(default_factory=dict)
     """Where the view is from: photograph, person, angle and the like, for tables of results."""
-    cloth: Float32[Tensor, "4 E"] | None = None
-    """Of the map's entries, as in `View`."""
-    others: tuple[Box, ...] | None = None
-    """Boxes of the other people in a photograph; None: a render, in which nobody else can be."""
+    stream: tuple[int, ...] | None = None
+    """Seeds what a pattern draws at random in this image; None: nothing is drawn."""
 
     def to(self, device: torch.device) -> BakedView:
         """Copy the view to a device; itself where it is there."""
         return self if self.pixels.to(device) is self.pixels else _moved(self, device)
+
+    def beside(self, worn: SparseMap) -> BakedView:
+        """Give the base of the image beside what is worn (places x colours): own clothing where `worn` has no entry."""
+        bare = worn.crow.diff() == 0  # a place on a body wears the pattern or does not
+        if worn.is_identity or not bare.any():
+            return self
+        shown = self.map.apply(self.seen * bare.unsqueeze(1)) * torch.tensor(self.light_color, device=bare.device)
+        base = self.base_color.clone()
+        base[:, : len(shown)] += shown.T
+        return replace(self, base_color=base)
+
+    @property
+    def seen(self) -> Float32[Tensor, "P 3"]:
+        """Colours of the own clothing at each place, before its light."""
+        return self.places.own.apply(self.own)
+
+    @property
+    def mask(self) -> Bool[Tensor, "H W"]:
+        """The person's pixels: those known, else those at least half covered."""
+        if self.subject.find_mask is not None:
+            return self.subject.find_mask()
+        mask = torch.zeros(self.height * self.width, dtype=torch.bool, device=self.pixels.device)
+        mask[self.pixels[self.coverage >= 0.5]] = True
+        return mask.view(self.height, self.width)
+
+    @property
+    def box(self) -> Box:
+        """The person's true box."""
+        return self.subject.box
 
     @property
     def base(self) -> Float32[Tensor, "N 3"]:
@@ -253,5 +295,5 @@ class BakedView:
 def _moved(view: ViewOrBaked, device: torch.device) -> ViewOrBaked:
     """Copy a view's tensors and its map to a device."""
     movable = {column.name: getattr(view, column.name) for column in fields(view)}
-    moved = {name: value.to(device) for name, value in movable.items() if isinstance(value, (Tensor, SparseMap))}
+    moved = {name: value.to(device) for name, value in movable.items() if hasattr(value, "to")}
     return replace(view, **moved)

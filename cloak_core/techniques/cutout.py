@@ -38,7 +38,7 @@ class Cutout(Technique):
     @classmethod
     def build(cls, setup: Setup) -> Cutout | None:
         most = setup.settings.augmentation.cutout
-        return cls(most, setup.worn.centres) if most else None
+        return cls(most, setup.pattern.centres) if most else None
 
     def hidden(self, seeds: Int[np.ndarray, " B"]) -> Bool[np.ndarray, "B C"]:
         hidden = np.zeros((len(seeds), len(self.centres)), bool)

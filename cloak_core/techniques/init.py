@@ -36,7 +36,7 @@ class Init(Technique):
         from cloak_core.zoo.starting import read_start
 
         path = setup.settings.optimization.init
-        return None if path is None else cls(read_start(Path(path), setup.worn.logo))
+        return None if path is None else cls(read_start(Path(path), setup.pattern.cover))
 
     def first(self) -> Float32[np.ndarray, "L 3"]:
         return self.colors

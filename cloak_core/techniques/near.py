@@ -70,17 +70,17 @@ class Near(Technique):
         from cloak_core.sources.bodies.logos.garment_colors import garment_colors
         from cloak_core.zoo.starting import read_start
 
-        settings, worn = setup.settings.pattern, setup.worn
+        settings, pattern = setup.settings.pattern, setup.pattern
         if settings.near is None:
             return None
-        garment = garment_colors(settings.near, worn.bodies, worn.logo)
-        garment = read_start(Path(settings.near), worn.logo, "--near") if garment is None else garment
+        garment = garment_colors(settings.near, pattern.bodies, pattern.cover)
+        garment = read_start(Path(settings.near), pattern.cover, "--near") if garment is None else garment
         if settings.colors_at_most is not None:
             if len(np.unique(garment, axis=0)) > 1:
                 raise InputError("--near: with --colors-at-most the garment must have one colour")
             if setup.settings.objective.palette is not None:
                 raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
-        return cls(worn.shared(garment), settings.within, settings.within_most or 2 * settings.within)
+        return cls(pattern.from_faces(garment), settings.within, settings.within_most or 2 * settings.within)
 
     def distances(self, colors: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, " L"]:
         """Compute each face's CIEDE2000 from the garment."""

@@ -65,8 +65,8 @@ class Octaves(Technique):
 
     @classmethod
     def build(cls, setup: Setup) -> Octaves | None:
-        count, worn = setup.settings.optimization.octaves, setup.worn
-        return cls(worn.points, worn.spacing, count, worn.period, setup.device) if count > 1 else None
+        count, pattern = setup.settings.optimization.octaves, setup.pattern
+        return cls(pattern.points, pattern.spacing, count, pattern.period, setup.device) if count > 1 else None
 
     def free(
         self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"]

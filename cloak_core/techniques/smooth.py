@@ -54,8 +54,8 @@ class Smoothing(Technique):
 
     @classmethod
     def build(cls, setup: Setup) -> Smoothing | None:
-        rounds, worn = setup.settings.optimization.smooth, setup.worn
-        return cls(worn.edges, worn.count, rounds, setup.device) if rounds else None
+        rounds, pattern = setup.settings.optimization.smooth, setup.pattern
+        return cls(pattern.neighbours, pattern.value_count, rounds, setup.device) if rounds else None
 
     def mix(self, values: Float[torch.Tensor, "L C"]) -> Float[torch.Tensor, "L C"]:
         """Average the values; they stay within [0, 1] where the given ones do."""

@@ -65,8 +65,8 @@ def best_other(classes: Float[Tensor, "B N K"], person: int, first: int = 0) -> 
 def found_as_person(
     boxes: Float[Tensor, "B N 4"],
     bodies: Float[Tensor, "B 4"],
-    iou: float = IOU,
-    within: float = WITHIN,
+    iou: float | Float[Tensor, "B 1"] = IOU,
+    within: float | Float[Tensor, "B 1"] = WITHIN,
     masks: Bool[Tensor, "B H W"] | None = None,
 ) -> Bool[Tensor, "B N"]:
     """Tell which boxes are on the true body: they fit it, or lie within it.
@@ -107,8 +107,8 @@ def share_within_mask(boxes: Float[Tensor, "B N 4"], masks: Bool[Tensor, "B H W"
 def on_body(
     detections: Detections,
     bodies: Float[Tensor, "B 4"],
-    iou: float = IOU,
-    within: float = WITHIN,
+    iou: float | Float[Tensor, "B 1"] = IOU,
+    within: float | Float[Tensor, "B 1"] = WITHIN,
     masks: Bool[Tensor, "B H W"] | None = None,
 ) -> OnBody:
     """Find the best person score and the best other class on each image's true body.

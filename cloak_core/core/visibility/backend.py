@@ -17,15 +17,14 @@ from jaxtyping import Float32, Int64, Integer, UInt8
 from torch import Tensor
 
 from cloak_core.core.cameras import Vector
-from cloak_core.core.cloth import Cloth
-from cloak_core.core.linear import SparseMap
+from cloak_core.core.linear import LinearMap, SparseMap
 from cloak_core.core.view import BakedView, FlatTriangles, Fragments, Screen, Surface, View, Window
 from cloak_core.core.visibility.compiled import use_kernels, use_loops
 
 
 @runtime_checkable
 class LogoMatrix(Protocol):
-    """The sparse matrix from the logo's colours to its pixels in B images."""
+    """The maps from colours to the pixels that show them in B images."""
 
     def paint(
         self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
@@ -85,12 +84,6 @@ class Backend(Protocol):
         Returns pixels, coverage, base_color, front_count and map of a `BakedView`.
         """
 
-    def squares_under(self, cloth: Cloth, middle: Float32[Tensor, "2 E"], extent: Float32[Tensor, "2 E"]) -> SparseMap:
-        """Find the squares under rectangles, with their shares: a map rectangles x squares, rows adding up to 1.
-
-        middle: metres right and down on the cloth; extent: width and height, metres.
-        """
-
     def draw_bodies(
         self,
         views: Sequence[BakedView],
@@ -102,8 +95,8 @@ class Backend(Protocol):
         Returns what the logo's pixels show beside the logo, and their rows: the last row for pixels outside the image.
         """
 
-    def logo_matrix(self, views: Sequence[BakedView]) -> LogoMatrix:
-        """Make the matrix of the views' logos."""
+    def logo_matrix(self, maps: Sequence[LinearMap]) -> LogoMatrix:
+        """Put together the maps of B images, each from colours to the pixels that show them."""
 
 
 def backend(device: torch.device) -> Backend:

@@ -1,21 +1,22 @@
-"""Bodies as training sees them: a pose before a camera, rasterized, in what is worn."""
+"""Bodies before a camera, rasterized: a source of views."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Float32
 
 from cloak_core.core.cameras import Camera
+from cloak_core.core.logo import Cover
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.components import ViewSettings
 from cloak_core.core.settings.values import Range
 from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import RenderSettings
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.view_cache import ViewCache
@@ -72,58 +73,79 @@ class BodyPlan:
             "distance": spread(views.distance),
         }
 
-    def camera(self, shown: Mapping[str, int | float]) -> Camera:
-        """Make the camera of some columns. Equal columns give equal cameras, so that views are found again."""
-        return self.settings.camera(shown["azimuth"], shown["elevation"], shown["distance"])
-
 
 class BodySource:
-    """A `Source` of bodies. `InputError`: see `ViewCache`."""
+    """A `Source` of bodies before a camera. `InputError`: see `ViewCache`."""
 
-    def __init__(
-        self,
-        bodies: Bodies,
-        worn: Worn,
-        settings: ViewSettings,
-        device: torch.device | str = "cpu",
-        view_cache: ViewCache | None = None,
-    ) -> None:
-        """view_cache: of these bodies; one of its own where none is given."""
+    directions, members, is_fresh = 1, 0, False
+
+    def __init__(self, bodies: Bodies, settings: RenderSettings, viewpoint: Camera, plan: BodyPlan | None = None) -> None:
+        """viewpoint: the camera, but for azimuth, elevation and distance; plan: of a training, which draws those."""
         self.bodies = bodies
-        self.worn = worn
-        self.plan = BodyPlan(settings, bodies.pose_count, bodies.outfit_count)
-        self.directions = self.plan.directions
-        self.members = self.plan.members
-        self.is_fresh = self.plan.is_fresh
-        self.draw = self.plan.draw
-        if view_cache is None:
-            fresh = {"samples": settings.samples or FRESH_SAMPLES, "memory_bytes": FRESH_VIEWS_BYTES}
-            view_settings = RenderSettings.of(settings, device=device, **(fresh if self.is_fresh else {}))
-            view_cache = ViewCache(bodies, view_settings, on_cloth=worn.cloth is not None)
-        self.view_cache = view_cache
-        self.works_on = view_cache.works_on
+        self.settings = settings
+        self.viewpoint = viewpoint
+        self.plan = plan
+        self._caches: dict[bool, ViewCache] = {}
+        if plan is not None:
+            self.directions, self.members, self.is_fresh, self.draw = plan.directions, plan.members, plan.is_fresh, plan.draw
 
-    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
+    @classmethod
+    def trained(cls, bodies: Bodies, settings: ViewSettings, device: torch.device | str = "cpu") -> BodySource:
+        """Show bodies as the settings of a training say."""
+        plan = BodyPlan(settings, bodies.pose_count, bodies.outfit_count)
+        fresh = {"samples": settings.samples or FRESH_SAMPLES, "memory_bytes": FRESH_VIEWS_BYTES}
+        render = RenderSettings.of(settings, device=device, **(fresh if plan.is_fresh else {}))
+        return cls(bodies, render, settings.camera(0.0, 0.0, 1.0), plan)
+
+    def planned(self, plan: BodyPlan, viewpoint: Camera) -> BodySource:
+        """Show the same bodies as another plan says, from views that are kept together."""
+        source = BodySource(self.bodies, self.settings, viewpoint, plan)
+        source._caches = self._caches
+        return source
+
+    @property
+    def works_on(self) -> torch.device:
         """See `Source`."""
-        camera = self.plan.camera(shown)
-        view = self.view_cache.bake(int(shown["pose"]), camera, self.worn.logo.face_ids, int(shown["outfit"]))
-        return self.worn.on_body(view, np.random.default_rng([seed, _CLOTH]))
+        return self.views_for(False).works_on
 
-    def undressed(self, shown: Mapping[str, int | float], seed: int) -> None:
-        """None: a body's clothing is painted."""
+    def views_for(self, needs_cloth: bool) -> ViewCache:
+        """Give the cache of views that tell where on a cloth places lie, or of those that do not."""
+        if needs_cloth not in self._caches:
+            self._caches[needs_cloth] = ViewCache(self.bodies, self.settings, on_cloth=needs_cloth)
+        return self._caches[needs_cloth]
 
-    def require_visible(self) -> None:
-        """Require that some training view shows the logo. InputError: none does, of any pose at any training angle."""
-        settings, faces = self.plan.settings, self.worn.logo.face_ids
+    def camera(self, shown: Mapping[str, int | float]) -> Camera:
+        """Make the camera of some columns. Equal columns give equal cameras, so that views are found again."""
+        place = {name: float(shown[name]) for name in ("azimuth", "elevation", "distance")}
+        return replace(self.viewpoint, **place)
+
+    def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
+        """See `Source`."""
+        faces = check_topology(pattern.cover, self.bodies).face_ids
+        cache = self.views_for(pattern.needs_cloth)
+        view = cache.bake(int(shown["pose"]), self.camera(shown), faces, int(shown["outfit"]))
+        return view if seed is None else replace(view, stream=(seed, _CLOTH))
+
+    def require_visible(self, pattern: Pattern) -> None:
+        """Require that some training view shows what is worn. InputError: none does, at any training angle."""
+        settings, faces = self.plan.settings, pattern.cover.face_ids
         for azimuth in settings.angles.centers:
             camera = settings.camera(azimuth, settings.elevation.middle, settings.distance.low)
             for pose in range(self.members):
-                if len(self.view_cache.bake(pose, camera, faces).map):
+                if self.views_for(pattern.needs_cloth).bake(pose, camera, faces).map.height:
                     return
         raise InputError(
             f"the logo: none of its {len(faces)} faces is seen from the training angles {settings.angles}"
             + _unusual_size(self.bodies.vertices)
         )
+
+
+def check_topology(cover: Cover, bodies: Bodies) -> Cover:
+    """Return faces that are those of these bodies. InputError: they are another mesh's, with both topologies."""
+    if cover.topology != bodies.topology:
+        made = f"the logo was made for topology {cover.topology}, this scene has {bodies.topology}"
+        raise InputError(f"scene '{bodies.name}': {made}")
+    return cover
 
 
 def _unusual_size(vertices: Float32[np.ndarray, "P V 3"]) -> str:

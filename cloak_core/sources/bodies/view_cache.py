@@ -16,8 +16,8 @@ from torch import Tensor
 
 from cloak_core.core.baking import bake
 from cloak_core.core.cameras import Camera, Vector
-from cloak_core.core.cloth import corner_places
 from cloak_core.core.geometry import outward_parts
+from cloak_core.core.places import corner_places
 from cloak_core.core.view import BakedView, Fragments, Screen, Surface, View, Visibility, Window
 from cloak_core.core.visibility.backend import backend
 from cloak_core.core.visibility.normals import NormalOperator
@@ -43,7 +43,7 @@ class ViewCache:
     """
 
     def __init__(self, bodies: Bodies, settings: RenderSettings | None = None, *, on_cloth: bool = False) -> None:
-        """on_cloth: views tell where on a cloth (core/cloth.py) each entry lies."""
+        """on_cloth: views tell where on a cloth (exchange/cloth.py) each entry lies."""
         self.bodies = bodies
         self.settings = settings or RenderSettings()
         self.device = torch.device(self.settings.device)

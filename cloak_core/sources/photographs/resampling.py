@@ -1,189 +1,190 @@
-"""Photographs resampled into images, and the clothes on a person along with them, as numba loops.
+"""Photographs resampled into images, and what is laid onto a person along with them.
 
-The sums of the sparse products in `views`, without their intermediate matrices.
+Both kernels are separable: columns first, then rows. The numba loops and the torch operations give the same sums.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64, UInt8
-from scipy import sparse
+import torch
+from jaxtyping import Float, Float32, Int64
+from torch import Tensor
 
-from cloak_core.core.visibility.compiled import loop
-
-_FEW = 48
-"""Columns of a row that are sorted by insertion; more of them by numpy."""
-
-
-class Dressed(NamedTuple):
-    """An image of N pixels; the first M show what is worn."""
-
-    pixels: Int64[np.ndarray, " N"]
-    """Flat index y * size + x; ascending among the first M, and among the others."""
-    base_color: Float32[np.ndarray, "3 N"]
-    crow: Int64[np.ndarray, " M1"]
-    column: Int64[np.ndarray, " E"]
-    """Colours; ascending within each pixel."""
-    weight: Float32[np.ndarray, " E"]
+from cloak_core.core.linear import Chain, SparseMap
+from cloak_core.core.visibility.compiled import loop, use_loops
 
 
-def resample_dressed(
-    image: UInt8[np.ndarray, "H W 3"],
-    pixels: Int64[np.ndarray, " P"],
-    worn: sparse.csr_matrix,
-    light: Float[np.ndarray, " P"],
-    down: sparse.csr_matrix,
-    across: sparse.csr_matrix,
-    padding: float,
-) -> Dressed:
-    """Resample a photograph by kernels down [size, H] and across [size, W], with what its P pixels wear [P, colours].
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """A filter along one axis: each of n pixels of the image is a weighted sum of up to k neighbours in the photograph.
 
-    light: what colours are multiplied by; padding: the grey beyond the photograph, in [0, 1].
+    Weights of neighbours beyond the photograph are 0, so that sums are 1 inside it and less at its border.
     """
-    kernels = [part for kernel in (down, across) for part in (kernel.indptr, kernel.indices, kernel.data)]
-    taken = np.asarray(worn.sum(axis=1)).ravel()
-    clothes = worn.indptr, worn.indices, worn.data, taken, light, worn.shape[1]
-    height, width = image.shape[:2]
-    left, order, rank, crow, column, weight = _lay(pixels, *clothes, height, width, *kernels)
-    table = np.arange(256, dtype=np.float32) / 255
-    beyond = padding * (1 - np.outer(down.sum(axis=1), across.sum(axis=1)))
-    base = _resampled(image, left, table, *kernels, beyond, rank)
-    return Dressed(order, base, crow, column, weight)
+
+    first: Int64[np.ndarray, " n"]
+    """The first neighbour."""
+    weight: Float32[np.ndarray, "n k"]
+    count: int
+    """Pixels of the photograph along this axis."""
+
+    @staticmethod
+    def of(start: float, side: float, size: int, count: int, softness: float = 1.0, mirror: bool = False) -> Kernel:
+        """Make a triangle filter: `size` pixels from `start` over `side` of `count` pixels, wider by `softness`."""
+        scale = side / size
+        reach = max(scale, 1.0) * softness
+        centre = start + (np.arange(size) + 0.5) * scale - 0.5
+        if mirror:
+            centre = centre[::-1]
+        taps = int(np.ceil(2 * reach)) + 1
+        first = np.floor(centre - reach).astype(int) + 1
+        column = first[:, None] + np.arange(taps)
+        weight = np.maximum(1 - np.abs(column - centre[:, None]) / reach, 0)
+        weight /= weight.sum(axis=1, keepdims=True)
+        weight[(column < 0) | (column >= count)] = 0
+        # Neighbours that do not exist weigh nothing: move them to where there are some.
+        moved = np.clip(first, 0, max(count - taps, 0))
+        shifted = np.zeros((size, min(taps, count)))
+        for tap in range(taps):
+            at = column[:, tap] - moved
+            inside = (at >= 0) & (at < shifted.shape[1])
+            shifted[np.flatnonzero(inside), at[inside]] += weight[inside, tap]
+        return Kernel(moved, shifted.astype(np.float32), count)
+
+    @property
+    def sums(self) -> Float32[np.ndarray, " n"]:
+        """How much of each pixel lies in the photograph."""
+        return self.weight.sum(axis=1)
+
+    def reached(self, low: int, high: int) -> slice:
+        """Find the pixels of the image that see any of the photograph's from `low` to `high` - 1."""
+        seen = (self.first < high) & (self.first + self.weight.shape[1] > low)
+        at = np.flatnonzero(seen)
+        return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
+
+    def part(self, rows: slice) -> Kernel:
+        """Take the kernel of some of the image's pixels."""
+        return Kernel(self.first[rows], self.weight[rows], self.count)
+
+    @cached_property
+    def dense(self) -> Float32[Tensor, "n count"]:
+        """The same as a matrix."""
+        matrix = np.zeros((len(self.first), self.count), np.float32)
+        rows = np.arange(len(self.first))[:, None]
+        np.add.at(matrix, (rows, self.first[:, None] + np.arange(self.weight.shape[1])), self.weight)
+        return torch.from_numpy(matrix)
+
+
+def resample(picture: Float32[Tensor, "H W 3"], down: Kernel, across: Kernel) -> Float32[Tensor, "h w 3"]:
+    """Filter a picture along both axes."""
+    if use_loops(picture.device):
+        result = np.empty((len(down.first), len(across.first), 3), np.float32)
+        _resample(picture.contiguous().numpy(), down.first, down.weight, across.first, across.weight, result)
+        return torch.from_numpy(result)
+    down, across = (kernel.dense.to(picture.device) for kernel in (down, across))
+    return torch.einsum("yh,hwc,xw->yxc", down, picture, across)
+
+
+def spread_back(upstream: Float32[Tensor, "h w 3"], down: Kernel, across: Kernel) -> Float32[Tensor, "H W 3"]:
+    """The transpose of `resample`: bring a gradient of its result back to the picture."""
+    if use_loops(upstream.device):
+        result = np.zeros((down.count, across.count, 3), np.float32)
+        _spread(upstream.contiguous().numpy(), down.first, down.weight, across.first, across.weight, result)
+        return torch.from_numpy(result)
+    down, across = (kernel.dense.to(upstream.device) for kernel in (down, across))
+    return torch.einsum("yh,yxc,xw->hwc", down, upstream, across)
+
+
+@dataclass(frozen=True, eq=False)
+class Resampling:
+    """A `LinearMap` from the P pixels of a person in a photograph to a rectangle of the image."""
+
+    pixels: Int64[Tensor, " P"]
+    """Flat in the photograph."""
+    light: Float32[Tensor, " P"]
+    """What colours on each are multiplied by."""
+    down: Kernel
+    """Of the rectangle's rows."""
+    across: Kernel
+    """Of its columns."""
+
+    @property
+    def height(self) -> int:
+        """Number of pixels of the rectangle, row by row."""
+        return len(self.down.first) * len(self.across.first)
+
+    @property
+    def width(self) -> int:
+        """P."""
+        return len(self.pixels)
+
+    def apply(self, values: Float[Tensor, "P 3"]) -> Float[Tensor, "R 3"]:
+        """See `LinearMap`."""
+        picture = values.new_zeros(self.down.count * self.across.count, 3)
+        picture[self.pixels] = values * self.light.unsqueeze(1)
+        return resample(picture.view(self.down.count, -1, 3), self.down, self.across).reshape(-1, 3)
+
+    def adjoint(self, upstream: Float[Tensor, "R 3"]) -> Float[Tensor, "P 3"]:
+        """See `LinearMap`."""
+        picture = spread_back(upstream.view(len(self.down.first), -1, 3), self.down, self.across)
+        return picture.view(-1, 3).index_select(0, self.pixels) * self.light.unsqueeze(1)
+
+    def __matmul__(self, other: SparseMap) -> Chain | SparseMap:
+        """See `LinearMap`: a view of a photograph is used once, so nothing is multiplied out."""
+        return Chain(self, other) if len(other) else SparseMap.empty(self.height, other.width, self.light.device)
+
+    def to(self, device: torch.device | str) -> Resampling:
+        """Copy the map to a device."""
+        return Resampling(self.pixels.to(device), self.light.to(device), self.down, self.across)
 
 
 @loop
-def _lay(
-    pixels,
-    crow,
-    column,
-    weight,
-    taken,
-    light,
-    colors,
-    height,
-    width,
-    y_start,
-    y_index,
-    y_weight,
-    x_start,
-    x_index,
-    x_weight,
-):
-    """Map colours to the image's pixels: what the clothes leave of the photograph's, the image's in order, the map."""
-    size = len(y_start) - 1
-    left = np.ones((height, width), np.float32)
-    row = np.full(height * width, -1, np.int32)
-    leftmost = np.full(height, width)
-    rightmost = np.full(height, -1)
-    for p in range(len(pixels)):
-        if crow[p + 1] > crow[p]:
-            y = pixels[p] // width
-            x = pixels[p] - y * width
-            left[y, x] = 1 - taken[p]
-            row[pixels[p]] = p
-            leftmost[y], rightmost[y] = min(leftmost[y], x), max(rightmost[y], x)
-    is_worn = np.zeros(size * size, np.bool_)
-    starts = np.zeros(size * size + 1, np.int64)
-    columns, weights = np.empty(8 * len(column) + colors, np.int64), np.empty(8 * len(column) + colors, np.float32)
-    total = np.empty(colors)
-    last = np.full(colors, -1)
-    met = np.empty(colors, np.int64)
-    shown = end = 0
-    for y in range(size):
-        low, high = width, -1
-        for t in range(y_start[y], y_start[y + 1]):
-            low, high = min(low, leftmost[y_index[t]]), max(high, rightmost[y_index[t]])
-        for x in range(size):
-            first, stop = x_start[x], x_start[x + 1]
-            if first == stop or x_index[stop - 1] < low or x_index[first] > high:
+def _resample(picture, y_first, y_weight, x_first, x_weight, result):
+    width = picture.shape[1]
+    low, high = x_first.min(), x_first.max() + x_weight.shape[1]
+    line = np.empty((width, 3), np.float32)
+    for y in range(len(y_first)):
+        line[low:high] = 0
+        for tap in range(y_weight.shape[1]):
+            part = y_weight[y, tap]
+            if part == 0:
                 continue
-            place = y * size + x
-            many = 0
-            for t in range(y_start[y], y_start[y + 1]):
-                for u in range(first, stop):
-                    p = row[y_index[t] * width + x_index[u]]
-                    if p < 0:
-                        continue
-                    part = y_weight[t] * x_weight[u]
-                    for entry in range(crow[p], crow[p + 1]):
-                        c = column[entry]
-                        value = part * (light[p] * weight[entry])
-                        if last[c] == place:
-                            total[c] += value
-                        else:
-                            last[c], total[c], met[many] = place, value, c
-                            many += 1
-            if many == 0:
-                continue
-            _sort(met, many)
-            if end + many > len(columns):
-                columns = np.concatenate((columns, np.empty(len(columns) + many, np.int64)))
-                weights = np.concatenate((weights, np.empty(len(weights) + many, np.float32)))
-            begun = end
-            for k in range(many):
-                if total[met[k]] != 0:
-                    columns[end], weights[end] = met[k], total[met[k]]
-                    end += 1
-            if end > begun:
-                is_worn[place] = True
-                shown += 1
-                starts[shown] = end
-    order, rank = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
-    worn, bare = 0, shown
-    for place in range(size * size):
-        if is_worn[place]:
-            order[worn], rank[place] = place, worn
-            worn += 1
-        else:
-            order[bare], rank[place] = place, bare
-            bare += 1
-    return left, order, rank, starts[: shown + 1].copy(), columns[:end].copy(), weights[:end].copy()
-
-
-@loop
-def _sort(values, count):
-    """Sort the first `count` values in place."""
-    if count > _FEW:
-        values[:count] = np.sort(values[:count])
-        return
-    for k in range(1, count):
-        value = values[k]
-        at = k
-        while at > 0 and values[at - 1] > value:
-            values[at] = values[at - 1]
-            at -= 1
-        values[at] = value
-
-
-@loop
-def _resampled(image, left, table, y_start, y_index, y_weight, x_start, x_index, x_weight, beyond, rank):
-    """The photograph beside what is worn: [3, size * size].
-
-    left: what the clothes leave of each of its pixels; beyond: the grey beyond its border; rank: of each pixel
-    in the image's order.
-    """
-    size = len(y_start) - 1
-    base = np.empty((3, size * size), np.float32)
-    line = np.zeros((image.shape[1], 3))
-    low, high = image.shape[1], -1
-    for u in range(len(x_index)):
-        low, high = min(low, x_index[u]), max(high, x_index[u])
-    for y in range(size):
-        line[low : high + 1] = 0
-        for t in range(y_start[y], y_start[y + 1]):
-            part, source = y_weight[t], y_index[t]
-            for x in range(low, high + 1):
+            source = picture[y_first[y] + tap]
+            for x in range(low, high):
                 for channel in range(3):
-                    line[x, channel] += part * (table[image[source, x, channel]] * left[source, x])
-        for x in range(size):
-            red = green = blue = 0.0
-            for u in range(x_start[x], x_start[x + 1]):
-                part, source = x_weight[u], x_index[u]
-                red += part * line[source, 0]
-                green += part * line[source, 1]
-                blue += part * line[source, 2]
-            at, grey = rank[y * size + x], beyond[y, x]
-            base[0, at], base[1, at], base[2, at] = red + grey, green + grey, blue + grey
-    return base
+                    line[x, channel] += part * source[x, channel]
+        for x in range(len(x_first)):
+            first = x_first[x]
+            red = green = blue = np.float32(0)
+            for tap in range(x_weight.shape[1]):
+                part = x_weight[x, tap]
+                red += part * line[first + tap, 0]
+                green += part * line[first + tap, 1]
+                blue += part * line[first + tap, 2]
+            result[y, x, 0], result[y, x, 1], result[y, x, 2] = red, green, blue
+
+
+@loop
+def _spread(upstream, y_first, y_weight, x_first, x_weight, result):
+    low, high = x_first.min(), x_first.max() + x_weight.shape[1]
+    line = np.empty((result.shape[1], 3), np.float32)
+    for y in range(len(y_first)):
+        line[low:high] = 0
+        for x in range(len(x_first)):
+            red, green, blue = upstream[y, x, 0], upstream[y, x, 1], upstream[y, x, 2]
+            first = x_first[x]
+            for tap in range(x_weight.shape[1]):
+                part = x_weight[x, tap]
+                line[first + tap, 0] += part * red
+                line[first + tap, 1] += part * green
+                line[first + tap, 2] += part * blue
+        for tap in range(y_weight.shape[1]):
+            part = y_weight[y, tap]
+            if part == 0:
+                continue
+            target = result[y_first[y] + tap]
+            for x in range(low, high):
+                for channel in range(3):
+                    target[x, channel] += part * line[x, channel]

@@ -1,28 +1,28 @@
-"""Photographs of people as training sees them: another part, scale, light and fit each time."""
+"""People in photographs: a source of views. Training sees another part, scale, light and fit each time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, Int64
+from jaxtyping import Int, Int64
 
-from cloak_core.core.linear import SparseMap
+from cloak_core.core.cameras import Number
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
-from cloak_core.core.worn import Worn
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.views import (
+    CONTEXT,
+    FitJitter,
     Framing,
-    Looseness,
-    cloth_places,
+    framing_of,
     logo_positions,
     photograph_view,
-    shares_of,
 )
 
 _ORDER = 4
@@ -33,38 +33,31 @@ _CLOTH = 1
 """Stream of random numbers of an image, beside the one of framing and looseness."""
 
 
-@dataclass(frozen=True, eq=False)
-class FitPlaces:
-    """The `Places` of a fitted person's pixels. position: of the rig's triangles in the logo, see `logo_positions`."""
-
-    fit: Fit
-    position: Int64[np.ndarray, " T"]
-    logo_count: int
-    looseness: Looseness
-
-    def faces(self) -> SparseMap:
-        """See `Places`."""
-        return shares_of(self.fit, self.position, self.logo_count, self.looseness)
-
-    def cloth(self) -> tuple[Float[np.ndarray, "P 2"], Bool[np.ndarray, " P"]]:
-        """See `Places`. As much wider or taller as a fit errs."""
-        return cloth_places(self.fit) * self.looseness.stretch, self.position[self.fit.main] >= 0
-
-
 class PeopleSource:
-    """A `Source` of fitted people who wear something.
+    """A `Source` of fitted people in photographs, as training draws them or as judging has them.
 
     `InputError`: the topology of what is worn is none that the rig knows.
     """
 
     directions, is_fresh = 1, True
-    works_on = torch.device("cpu")
 
-    def __init__(self, fits: Sequence[Fit], worn: Worn, settings: PeopleSettings, size: int, seed: int = 0) -> None:
-        """seed: of the run, which decides in which order people are shown."""
-        self.fits, self.worn, self.settings, self.size, self.seed = fits, worn, settings, size, seed
+    def __init__(
+        self,
+        fits: Sequence[Fit],
+        size: int,
+        settings: PeopleSettings | None = None,
+        seed: int = 0,
+        context: Number = CONTEXT,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """settings: of a training; seed: of the run, which decides in which order people are shown.
+
+        context: side of the images that judge, in heights of the person's box.
+        """
+        self.fits, self.size, self.settings, self.seed, self.context = fits, size, settings, seed, context
+        self.works_on = torch.device(device)
         self._last: tuple[int, np.ndarray] = -1, np.zeros(0, np.int64)
-        self._position = logo_positions(worn.logo.topology, worn.logo.face_ids)
+        self._positions: dict[str, Int64[np.ndarray, " T"]] = {}
 
     @property
     def members(self) -> int:
@@ -84,29 +77,26 @@ class PeopleSource:
         return np.array(person, np.int64)
 
     def _order(self, number: int) -> Int64[np.ndarray, " N"]:
-        """The order in which a round shows everybody."""
+        """Draw the order in which a round shows everybody."""
         if self._last[0] != number:
             order = np.random.default_rng([self.seed, _ORDER, 0, number]).permutation(self.members)
             self._last = number, order
         return self._last[1]
 
-    def view(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
+    def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         """See `Source`."""
         person = int(shown["person"])
-        fit, framing, looseness = self._drawn(person, seed)
-        places = FitPlaces(fit, self._position, len(self.worn.logo), looseness)
-        worn = self.worn.on_places(places, np.random.default_rng([seed, person, _CLOTH]))
-        return photograph_view(fit, worn, framing, looseness)
-
-    def undressed(self, shown: Mapping[str, int | float], seed: int) -> BakedView:
-        """See `Source`: the photograph as it is."""
-        fit, framing, _ = self._drawn(int(shown["person"]), seed)
-        nothing = np.full_like(self._position, -1)
-        return photograph_view(fit, shares_of(fit, nothing, len(self.worn.logo)), framing)
-
-    def _drawn(self, person: int, seed: int) -> tuple[Fit, Framing, Looseness]:
-        fit, random = self.fits[person], np.random.default_rng([seed, person])
-        return fit, draw_framing(random, fit, self.settings, self.size), draw_looseness(random, self.settings)
+        fit, cover = self.fits[person], pattern.cover
+        if cover.key not in self._positions:
+            self._positions[cover.key] = logo_positions(cover.topology, cover.face_ids)
+        place = fit, self._positions[cover.key], len(cover)
+        if seed is None:
+            return photograph_view(*place, framing_of(fit, self.context, self.size), device=self.works_on)
+        random = np.random.default_rng([seed, person])
+        framing = draw_framing(random, fit, self.settings, self.size)
+        jitter = draw_jitter(random, self.settings)
+        view = photograph_view(*place, framing, jitter, self.works_on)
+        return replace(view, stream=(seed, person, _CLOTH))
 
 
 def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings, size: int) -> Framing:
@@ -127,9 +117,9 @@ def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings
     return Framing(starts[0], starts[1], side, size, mirror, softness)
 
 
-def draw_looseness(random: np.random.Generator, settings: PeopleSettings) -> Looseness:
-    """What the fit may have got wrong."""
+def draw_jitter(random: np.random.Generator, settings: PeopleSettings) -> FitJitter:
+    """Draw what the fit may have got wrong."""
     far, light = settings.people_loose, settings.people_light
     move, stretch = random.uniform(-far, far, 2), 1 + random.uniform(-2 * far, 2 * far, 2)
     folds, exposure = 1 + random.uniform(-2 * light, 2 * light), 1 + random.uniform(-light, light / 2)
-    return Looseness(tuple(move.tolist()), tuple(stretch.tolist()), max(folds, 0.0), exposure)
+    return FitJitter(tuple(move.tolist()), tuple(stretch.tolist()), max(folds, 0.0), exposure)

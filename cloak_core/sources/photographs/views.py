@@ -1,27 +1,27 @@
-"""Views from photographs: a fitted person as a sparse linear map from a logo's colours to the pixels of an image.
+"""Views from photographs: where a fitted person's pixels lie on clothes, and how an image shows them.
 
-The image is a square part of the photograph, resampled. Resampling is linear, so it is one more sparse matrix: pixels
-of the image x pixels of the photograph, times pixels of the photograph x faces.
+The image is a square part of the photograph, resampled. Resampling is linear: what is worn goes to the photograph's
+pixels first, then through the same two kernels as the photograph.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
-from scipy import sparse
+from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
 from cloak_core.core.cameras import Number
-from cloak_core.core.cloth import cloth_coordinates
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.view import BakedView
-from cloak_core.core.visibility.compiled import use_loops
+from cloak_core.core.places import Places
+from cloak_core.core.view import BakedView, Subject
+from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.sources.photographs.choosing import Box
 from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.resampling import Dressed, resample_dressed
+from cloak_core.sources.photographs.resampling import Kernel, Resampling, resample
 from cloak_core.sources.photographs.rig import body_rig, faces_on_rig
 
 PADDING = 0.5
@@ -53,7 +53,7 @@ class Framing:
 
 
 @dataclass(frozen=True)
-class Looseness:
+class FitJitter:
     """What a fit does not know: changes of it that training draws."""
 
     move: tuple[Number, Number] = (0.0, 0.0)
@@ -63,6 +63,9 @@ class Looseness:
     folds: Number = 1.0
     """Exponent of the shading."""
     exposure: Number = 1.0
+
+
+EXACT = FitJitter()
 
 
 def framing_of(fit: Fit, context: Number = CONTEXT, size: int = 416) -> Framing:
@@ -82,147 +85,126 @@ def logo_positions(topology: str, face_ids: Int64[np.ndarray, " L"]) -> Int64[np
     return np.where(face >= 0, position[face], -1)
 
 
-def shares_of(
-    fit: Fit, position: Int64[np.ndarray, " T"], logo_count: int, looseness: Looseness | None = None
-) -> SparseMap:
-    """The logo's part of a fit: its pixels x the logo's faces, each entry the face's share of the pixel."""
+def shares_of(fit: Fit, position: Int64[np.ndarray, " T"], count: int, jitter: FitJitter) -> SparseMap:
+    """Lay a logo onto a fit: its pixels x the logo's `count` faces, each entry the face's share of the pixel."""
     crow, triangle, share = fit.crow, fit.triangle, fit.share
-    if looseness is not None and (looseness.move != (0.0, 0.0) or looseness.stretch != (1.0, 1.0)):
-        rows = _moved_rows(fit, looseness)
+    if jitter.move != (0.0, 0.0) or jitter.stretch != (1.0, 1.0):
+        rows = _moved_rows(fit, jitter)
         counts = np.diff(crow)[rows]
         entry = np.repeat(crow[rows] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
         crow, triangle, share = np.concatenate([[0], np.cumsum(counts)]), triangle[entry], share[entry]
     face = position[triangle]
     kept = face >= 0
     before = np.concatenate([[0], np.cumsum(kept)])
-    return SparseMap(
-        torch.from_numpy(before[crow]), torch.from_numpy(face[kept]), torch.from_numpy(share[kept]), logo_count
-    )
+    weight = torch.from_numpy(share[kept].astype(np.float32))
+    return SparseMap(torch.from_numpy(before[crow]), torch.from_numpy(face[kept]), weight, count)
 
 
-def cloth_places(fit: Fit) -> Float[np.ndarray, "P 2"]:
-    """Find where each pixel of a fitted person lies on a cloth that her clothes are cut of: metres right and down."""
-    return cloth_coordinates(fit.rest, body_rig().normals[fit.main])
+def places_of(fit: Fit, position: Int64[np.ndarray, " T"], count: int, jitter: FitJitter = EXACT) -> Places:
+    """Find where each of a fit's pixels lies on clothes that wear `count` faces (`logo_positions`).
+
+    A pixel sees a square of cloth of its own size at the scale of the fit, wider and taller as the fit may err.
+    """
+    stretch = np.array(jitter.stretch, np.float32)[:, None]
+    at = cloth_coordinates(fit.rest, body_rig().normals[fit.main]).T.astype(np.float32) * stretch
+    extent = np.broadcast_to(stretch / np.float32(fit.scale), at.shape).copy()
+    face = torch.from_numpy(position[fit.main])
+    lay = partial(shares_of, fit, position, count, jitter)
+    lay_own = partial(SparseMap.empty, len(face), 0)
+    return Places(face, torch.from_numpy(at), torch.from_numpy(extent), lay, lay_own)
 
 
-def photograph_view(fit: Fit, worn: SparseMap, framing: Framing, looseness: Looseness | None = None) -> BakedView:
-    """Bake a fitted person who wears something: a map of her pixels x colours, such as `shares_of` a logo.
+@dataclass(frozen=True, eq=False)
+class PhotographView(BakedView):
+    """A fitted person in a part of her photograph: a view whose base is the photograph beside what she wears."""
 
-    The base image is the photograph; the box is the person's; the provenance names photograph, person and the boxes of
-    the other people in the image.
+    fit: Fit = None
+    kernels: tuple[Kernel, Kernel] = None
+    """Down and across, of the whole image."""
+
+    def beside(self, worn: SparseMap) -> BakedView:
+        """See `BakedView`: what a pixel of the photograph wears hides that share of it."""
+        device, (down, across) = self.pixels.device, self.kernels
+        left = torch.ones(self.fit.person.shape, device=device)
+        left.view(-1)[self.map.pixels] -= worn.row_sums()
+        photograph = torch.from_numpy(self.fit.person.image).to(device).float().div_(255).mul_(left.unsqueeze(2))
+        beyond = PADDING * (1 - torch.outer(*(torch.from_numpy(kernel.sums) for kernel in (down, across))))
+        image = resample(photograph, down, across) + beyond.to(device).unsqueeze(2)
+        own = {field.name: getattr(self, field.name) for field in fields(BakedView)}
+        return BakedView(**own | {"base_color": image.view(-1, 3).index_select(0, self.pixels).T.contiguous()})
+
+    @property
+    def seen(self) -> Float32[Tensor, "P 3"]:
+        """See `BakedView`: the photograph's pixels without the light that the fit takes them to have."""
+        fit = self.fit
+        colors = fit.person.image.reshape(-1, 3)[fit.pixels] / 255 / (fit.shading[:, None] * fit.tint)
+        return torch.from_numpy(colors.astype(np.float32)).to(self.pixels.device)
+
+
+def photograph_view(
+    fit: Fit,
+    position: Int64[np.ndarray, " T"],
+    count: int,
+    framing: Framing,
+    jitter: FitJitter = EXACT,
+    device: torch.device | str = "cpu",
+) -> PhotographView:
+    """View a fitted person whose clothes wear `count` faces (`logo_positions`).
+
+    The box is the person's; the provenance names photograph and person.
     """
     height, width = fit.person.shape
-    down, across = _kernels(framing, height, width)
+    down = Kernel.of(framing.y, framing.side, framing.size, height, framing.softness)
+    across = Kernel.of(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
+    y, x = np.divmod(fit.pixels, width)
+    rows, columns = down.reached(y.min(), y.max() + 1), across.reached(x.min(), x.max() + 1)
     size = framing.size
-    shares = worn.to_scipy()
-    resample = resample_dressed if use_loops(worn.crow.device) else _resample_dressed
-    seen = resample(fit.person.image, fit.pixels, shares, _light(fit, looseness), down, across, PADDING)
-    shown = len(seen.crow) - 1
-    pixels, base_color, crow, column, weight = map(torch.from_numpy, seen)
-    return BakedView(
+    number = np.arange(size * size).reshape(size, size)
+    worn = np.zeros((size, size), bool)
+    worn[rows, columns] = True
+    light = (fit.shading**jitter.folds * jitter.exposure).astype(np.float32)
+    parts = down.part(rows), across.part(columns)
+    resampling = Resampling(torch.from_numpy(fit.pixels), torch.from_numpy(light), *parts)
+    subject = Subject(
+        framing.box(fit.person.box),
+        tuple(framing.box(box) for box in fit.person.others),
+        is_alone=False,
+        find_mask=partial(person_mask, fit, down, across),
+    )
+    view = PhotographView(
         height=size,
         width=size,
-        pixels=pixels,
+        pixels=torch.from_numpy(np.concatenate([number[worn], number[~worn]])),
         coverage=torch.ones(size * size),
-        base_color=base_color,
-        front_count=shown,
-        map=SparseMap(crow, column, weight, shares.shape[1]),
+        base_color=torch.zeros(3, 0),
+        front_count=resampling.height,
+        map=resampling,
+        places=places_of(fit, position, count, jitter),
+        own=torch.zeros(0, 3),
         light_color=tuple(map(float, fit.tint)),
-        box=framing.box(fit.person.box),
+        subject=subject,
         provenance={"photograph": fit.person.photograph, "person": fit.person.name},
-        others=tuple(framing.box(box) for box in fit.person.others),
+        fit=fit,
+        kernels=(down, across),
     )
+    return view.to(torch.device(device))
 
 
-def person_mask(fit: Fit, framing: Framing) -> Bool[Tensor, "s s"]:
-    """True where a pixel of the image shows the person by half or more."""
-    down, across = _kernels(framing, *fit.person.shape)
-    return torch.from_numpy(across @ (down @ fit.person.mask.astype(np.float32)).T >= 0.5).T
+def person_mask(fit: Fit, down: Kernel, across: Kernel) -> Bool[Tensor, "s s"]:
+    """Mark the pixels of the image that show the person by half or more."""
+    mask = torch.from_numpy(fit.person.mask.astype(np.float32)).unsqueeze(2).expand(-1, -1, 3)
+    return resample(mask, down, across)[:, :, 0] >= 0.5
 
 
-def _moved_rows(fit: Fit, looseness: Looseness) -> np.ndarray:
+def _moved_rows(fit: Fit, jitter: FitJitter) -> np.ndarray:
     """For each row of the fit the row whose faces it shows: its own where the move leads off the person."""
     height, width = fit.person.shape
     x0, y0, x1, y1 = fit.person.box
     x, y = fit.pixels % width, fit.pixels // width
-    from_x = (x0 + x1) / 2 + (x - (x0 + x1) / 2) / looseness.stretch[0] - looseness.move[0] * (y1 - y0)
-    from_y = (y0 + y1) / 2 + (y - (y0 + y1) / 2) / looseness.stretch[1] - looseness.move[1] * (y1 - y0)
-    at = np.clip(np.rint(from_y), 0, height - 1).astype(int) * width + np.clip(np.rint(from_x), 0, width - 1).astype(
-        int
-    )
-    row = np.full(height * width, -1)
-    row[fit.pixels] = np.arange(len(fit.pixels))
-    return np.where(row[at] >= 0, row[at], np.arange(len(fit.pixels)))
-
-
-def _light(fit: Fit, looseness: Looseness | None) -> np.ndarray:
-    return fit.shading if looseness is None else fit.shading**looseness.folds * looseness.exposure
-
-
-def _kernels(framing: Framing, height: int, width: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """Filters of a photograph of this size: down [size, height], and across [size, width]."""
-    down = _kernel(framing.y, framing.side, framing.size, height, framing.softness, False)
-    return down, _kernel(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
-
-
-def _kernel(start: Number, side: Number, size: int, count: int, softness: Number, mirror: bool) -> sparse.csr_matrix:
-    """Triangle filter along one axis [size, count]: `size` pixels from `start` over `side` of `count` pixels.
-
-    Rows add up to 1 where the filter lies within the picture, to less at its border, to 0 beyond.
-    """
-    scale = side / size
-    reach = max(scale, 1.0) * softness
-    centre = start + (np.arange(size) + 0.5) * scale - 0.5
-    taps = int(np.ceil(2 * reach)) + 1
-    column = np.floor(centre - reach).astype(int)[:, None] + 1 + np.arange(taps)
-    weight = np.maximum(1 - np.abs(column - centre[:, None]) / reach, 0)
-    weight /= weight.sum(axis=1, keepdims=True)
-    row = np.broadcast_to((np.arange(size)[::-1] if mirror else np.arange(size))[:, None], column.shape)
-    kept = (column >= 0) & (column < count) & (weight > 0)
-    return sparse.csr_matrix((weight[kept], (row[kept], column[kept])), shape=(size, count))
-
-
-def _resample_dressed(
-    image: UInt8[np.ndarray, "H W 3"],
-    pixels: Int64[np.ndarray, " P"],
-    worn: sparse.csr_matrix,
-    light: Float[np.ndarray, " P"],
-    down: sparse.csr_matrix,
-    across: sparse.csr_matrix,
-    padding: float,
-) -> Dressed:
-    """`resampling.resample_dressed` as sparse products, where there is no numba."""
-    height, width, _ = image.shape
-    size = down.shape[0]
-    left = np.ones(height * width, np.float32)
-    left[pixels] -= np.asarray(worn.sum(axis=1)).ravel()
-    photograph = image.astype(np.float32) / 255 * left.reshape(height, width, 1)
-    rows = (down @ photograph.reshape(height, -1)).reshape(-1, width, 3).transpose(1, 0, 2)
-    resampled = (across @ rows.reshape(width, -1)).reshape(size, -1, 3).transpose(1, 0, 2)
-    beyond = 1 - np.outer(down.sum(axis=1), across.sum(axis=1))
-    base = (resampled + padding * beyond[..., None]).astype(np.float32).transpose(2, 0, 1).reshape(3, -1)
-    shown = _pixels_to_pixels(pixels, width, down, across) @ (sparse.diags(light) @ worn)
-    shown.sort_indices()  # within rows, far sooner than all entries at once
-    is_worn = np.diff(shown.indptr) > 0
-    order = np.concatenate([np.flatnonzero(is_worn), np.flatnonzero(~is_worn)])
-    crow = np.concatenate([[0], shown.indptr[1:][is_worn]]).astype(np.int64)
-    entries = shown.indices.astype(np.int64), shown.data.astype(np.float32)
-    return Dressed(order, np.ascontiguousarray(base[:, order]), crow, *entries)
-
-
-def _pixels_to_pixels(
-    pixels: np.ndarray, width: int, down: sparse.csr_matrix, across: sparse.csr_matrix
-) -> sparse.csr_matrix:
-    """The two kernels as one matrix, pixels of the image x these pixels of the photograph."""
-    ys, xs = down.tocsc(), across.tocsc()
-    y, x = pixels // width, pixels % width
-    first_y, first_x = ys.indptr[y], xs.indptr[x]
-    many_y, many_x = ys.indptr[y + 1] - first_y, xs.indptr[x + 1] - first_x
-    count = many_y * many_x
-    source = np.repeat(np.arange(len(pixels)), count)
-    place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    at_y = first_y[source] + place // many_x[source]
-    at_x = first_x[source] + place % many_x[source]
-    size = down.shape[0]
-    target = ys.indices[at_y].astype(np.int64) * size + xs.indices[at_x]
-    return sparse.csr_matrix((ys.data[at_y] * xs.data[at_x], (target, source)), shape=(size * size, len(pixels)))
+    from_x = (x0 + x1) / 2 + (x - (x0 + x1) / 2) / jitter.stretch[0] - jitter.move[0] * (y1 - y0)
+    from_y = (y0 + y1) / 2 + (y - (y0 + y1) / 2) / jitter.stretch[1] - jitter.move[1] * (y1 - y0)
+    column, row = np.clip(np.rint(from_x), 0, width - 1), np.clip(np.rint(from_y), 0, height - 1)
+    number = np.full(height * width, -1)
+    number[fit.pixels] = np.arange(len(fit.pixels))
+    at = number[row.astype(int) * width + column.astype(int)]
+    return np.where(at >= 0, at, np.arange(len(fit.pixels)))

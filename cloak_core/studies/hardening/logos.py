@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float32, Int64
 from cloak_core.core.geometry import face_areas, face_centres, face_normals
 from cloak_core.core.logo import region_mask
 from cloak_core.core.prints import PRINTS
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.patterns.cloth import ClothPattern
 from cloak_core.studies.hardening.decoys import TEXTURE, random_texture
 
 JUDGED = (("chest", "thighs"), ("shirt", "trousers"))
@@ -106,11 +106,11 @@ def draw_pattern(rng: np.random.Generator) -> dict[str, str | float]:
     return {"pattern": "tile", "tile_cm": float(rng.uniform(*WIDTHS)), "feature_cm": SQUARE}
 
 
-def first_cloth(worn: Worn, rng: np.random.Generator) -> Float32[np.ndarray, "S 3"]:
+def first_cloth(cloth: ClothPattern, rng: np.random.Generator) -> Float32[np.ndarray, "S 3"]:
     """Draw the first colours of a cloth's squares, which lie row by row."""
     if rng.random() < PRINTED:
-        return PRINTS[str(rng.choice(sorted(PRINTS)))].at(worn.centres)
-    texture, cloth = random_texture(rng), worn.cloth.cloth
-    row, column = ((np.arange(count) + 0.5) * TEXTURE / count for count in (cloth.rows, cloth.count))
+        return PRINTS[str(rng.choice(sorted(PRINTS)))].at(cloth.centres)
+    texture = random_texture(rng)
+    row, column = ((np.arange(count) + 0.5) * TEXTURE / count for count in (cloth.grid.rows, cloth.grid.columns))
     squares = texture[:, row.astype(int)][:, :, column.astype(int)]
     return np.ascontiguousarray(squares.reshape(3, -1).T, np.float32)

@@ -91,7 +91,7 @@ class Pictures:
         """Draw a body's coverage of the picture, from anywhere."""
         size, distance = self.size, DISTANCES[rng.integers(len(DISTANCES))]
         camera = Camera(azimuth=float(30 * rng.integers(12)), distance=distance, width=size, height=size)
-        view = self.pool.view_cache.view(int(rng.integers(self.pool.bodies.pose_count)), camera)
+        view = self.pool.source.views_for(False).view(int(rng.integers(self.pool.bodies.pose_count)), camera)
         covered = torch.zeros(size * size, device=view.coverage.device)
         covered[view.pixels] = view.coverage
         return covered.view(size, size).roll(int(rng.integers(-size // 3, size // 3)), 1).cpu()

@@ -8,7 +8,7 @@ hardening that was stopped goes on as if it had not been.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,21 +16,23 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.batches import Batch, Batcher
+from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.images import dressed
 from cloak_core.core.logo import Logo, make_logo
 from cloak_core.core.objective import Objective, StepFigures, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
-from cloak_core.core.paint import compose
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.source import Mixture
 from cloak_core.core.visibility.settings import RenderSettings
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.patterns.choosing import pattern_of
+from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.bodies.source import BodySource
-from cloak_core.sources.bodies.view_cache import ViewCache
+from cloak_core.sources.bodies.source import BodyPlan, BodySource
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import faces_on_rig
@@ -68,10 +70,8 @@ _LOGO, _VIEWS, _CLOTH = 1, 2, 6
 class Cloak:
     """One cloak, and what shows it."""
 
-    worn: Worn
+    pattern: Pattern
     batcher: Batcher
-    bare: Batcher
-    """Of the same images with the logo's faces, to show the body in its own clothes."""
     objective: Objective
     optimizer: ColorOptimizer
     flat: FlatCloth
@@ -79,12 +79,12 @@ class Cloak:
     @property
     def logo(self) -> Logo:
         """Where it is worn."""
-        return self.worn.logo
+        return self.pattern.cover
 
     def face_colors(self) -> Float[np.ndarray, "L 3"]:
         """Colours of the logo's faces as they are."""
         colors = self.optimizer.colors().detach().cpu().numpy()
-        return self.worn.on_faces(colors, is_exact=False).astype(np.float32)
+        return self.pattern.on_faces(colors).astype(np.float32)
 
     def texture(self) -> Texture:
         """The cloak as it is, laid flat."""
@@ -123,8 +123,7 @@ class Pool:
         self.device = torch.device(detector.device)
         room = VIEW_BYTES // 2 if settings.cloths else VIEW_BYTES
         rendering = RenderSettings(device=self.device, samples=SAMPLES, memory_bytes=room)
-        self.view_cache = ViewCache(bodies, rendering)
-        self._cloth_views = ViewCache(bodies, rendering, on_cloth=True) if settings.cloths else self.view_cache
+        self.source = BodySource(bodies, rendering, Camera(width=settings.size, height=settings.size))
         self.centres, self.normals = face_centres(bodies), face_normals(bodies)
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
         """By slot, the last colours that any of its cloaks had on each face."""
@@ -145,20 +144,23 @@ class Pool:
         with torch.no_grad():
             # What is composed next draws into the same memory.
             cloaked = batch.images(cloak.optimizer.colors()).clone()
-            clean = self._clean(cloak, batch if cloak.bare is cloak.batcher else cloak.bare.batch(generation), turn)
+            clean = self._clean(cloak, generation, turn)
         self._remember(slot, cloak)
         return Turn(cloaked, clean, figures, cloak, batch)
 
-    def _clean(self, cloak: Cloak, bare: Batch, turn: int) -> Float[Tensor, "B 3 H W"]:
+    def _clean(self, cloak: Cloak, generation: int, turn: int) -> Float[Tensor, "B 3 H W"]:
+        """Show a turn's images without the cloak: bodies in an outfit on its faces, photographs as they are."""
         outfit = self.bodies.face_colors[turn % self.bodies.outfit_count]
         clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
-        clean = replace(bare, on_logo=None).images(clothing).clone()
-        draws = cloak.bare.sampler.draw(turn // SLOTS)
-        for image, (shown, seed) in zip(clean, draws.views(), strict=True):
-            view = cloak.bare.source.undressed(shown, seed)
-            if view is not None:
-                image.copy_(compose([view.to(self.device)], clothing, torch.zeros_like(image)[None])[0])
-        return clean
+        own, batcher = OwnClothing(cloak.logo), cloak.batcher
+        draws = batcher.sampler.draw(generation)
+        views = batcher.images.make_views(draws.views(), own)
+        images = []
+        for view, background, shift in zip(views, draws.background, torch.from_numpy(draws.shift), strict=True):
+            rows = batcher.images.backdrop([view], [background])
+            moved = shift[None].to(self.device) * view.subject.is_alone
+            images.append(dressed([view], own, rows, moved).paint(clothing[: len(view.own)])[0])
+        return torch.stack(images)
 
     @torch.no_grad()
     def _remember(self, slot: int, cloak: Cloak) -> None:
@@ -195,28 +197,26 @@ class Pool:
         if cloth.random() < self.settings.cloths:
             pattern = draw_pattern(cloth)
         settings = self._train_settings(slot, pattern)
-        worn = Worn.of(settings.pattern, self.bodies, logo)
+        worn = pattern_of(settings.pattern, self.bodies, logo)
         colors = first_cloth(worn, cloth) if pattern else colors
-        batcher = self._batcher(settings, worn)
         return Cloak(
             worn,
-            batcher,
-            self._batcher(settings, Worn(self.bodies, logo)) if pattern else batcher,
-            Objective(settings, worn.bordered, [self.detector], self.device),
+            self._batcher(settings, worn),
+            Objective(settings, worn, [self.detector], self.device),
             ColorOptimizer(settings.optimization, torch.from_numpy(np.array(colors, np.float32)).to(self.device)),
             FlatCloth(self.centres[logo.face_ids], self.normals[logo.face_ids]),
         )
 
-    def _batcher(self, settings: TrainSettings, worn: Worn) -> Batcher:
+    def _batcher(self, settings: TrainSettings, pattern: Pattern) -> Batcher:
         """Make what builds images of bodies, and of people where there are some, in what is worn."""
-        views = self.view_cache if worn.cloth is None else self._cloth_views
-        source = BodySource(self.bodies, worn, settings.views, self.device, views)
+        plan = BodyPlan(settings.views, self.bodies.pose_count, self.bodies.outfit_count)
+        source = self.source.planned(plan, settings.views.camera(0.0, 0.0, 1.0))
         if self.people:
             size, seed = self.settings.size, settings.run.seed
-            people = PeopleSource(self.people, worn, settings.photographs, size, seed)
+            people = PeopleSource(self.people, size, settings.photographs, seed, device=self.device)
             source = Mixture(source, people, settings.photographs.people_share, seed)
         sampler = Sampler(settings, source, len(self.backgrounds))
-        return Batcher(settings, sampler, self.backgrounds, worn, self.device)
+        return Batcher(settings, sampler, self.backgrounds, pattern, self.device)
 
     def _train_settings(self, slot: int, pattern: Mapping[str, str | float] = NO_PATTERN) -> TrainSettings:
         rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32
-from torch import Tensor
 
-from cloak_core.core.cloth import face_places
-from cloak_core.core.cloth_on_logo import ClothOnLogo
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo
-from cloak_core.core.prints import PRINT_METRES, PRINTS
+from cloak_core.core.pattern import Pattern
+from cloak_core.core.places import face_places
+from cloak_core.core.prints import PRINT_METRES, PRINTS, Print
 from cloak_core.core.settings.components import OptimizerSettings
 from cloak_core.exchange.bodies import Bodies
 
@@ -31,31 +30,30 @@ COLUMN, GAP = 0.06, 0.05
 """Of the body's height: half the width of the strip about the middle that is looked at for room, and what parts it."""
 
 
-def first_colors(settings: OptimizerSettings, bodies: Bodies, logo: Logo, seed: int = 0) -> Float[Tensor, "L 3"]:
-    """Make the logo's first colours: grey, seeded random ones, the first outfit's, an animal's face, or a print."""
+def first_colors(
+    settings: OptimizerSettings, pattern: Pattern, bodies: Bodies, seed: int = 0
+) -> Float[np.ndarray, "C 3"]:
+    """Make a pattern's first colours: grey, seeded random ones, the first outfit's, an animal's face, or a print."""
+    logo = pattern.cover
     if settings.initial in PRINTS:
-        return torch.from_numpy(PRINTS[settings.initial].at(face_places(bodies, logo)))
+        return _printed(PRINTS[settings.initial], pattern, bodies)
     if settings.initial == "clothing":
-        return torch.from_numpy(bodies.face_colors[0, logo.face_ids])
-    if settings.initial == "animal":
-        return torch.from_numpy(animal_face(bodies, logo))
-    if settings.initial == "random":
-        generator = torch.Generator().manual_seed(seed)
-        return torch.rand((len(logo), 3), generator=generator)
-    return torch.full((len(logo), 3), 0.5)
+        colors = bodies.face_colors[0, logo.face_ids]
+    elif settings.initial == "animal":
+        colors = animal_face(bodies, logo)
+    elif settings.initial == "random":
+        colors = torch.rand((len(logo), 3), generator=torch.Generator().manual_seed(seed)).numpy()
+    else:
+        colors = np.full((len(logo), 3), 0.5, np.float32)
+    return pattern.from_faces(colors)
 
 
-def on_squares(
-    cloth: ClothOnLogo, settings: OptimizerSettings, first: Float[np.ndarray, "L 3"]
-) -> Float32[np.ndarray, "S 3"]:
-    """Give each square of a cloth its first colour: a print's, as sharp as the squares, or the mean of its faces'."""
-    if settings.initial not in PRINTS:
-        return cloth.of_faces(first)
-    flat = cloth.cloth
-    # As many whole pieces of the print as come closest to their own size.
-    pieces = max(1, round(flat.metres / PRINT_METRES))
-    places = flat.centres() / flat.metres * pieces * PRINT_METRES
-    return PRINTS[settings.initial].at(places)
+def _printed(plain: Print, pattern: Pattern, bodies: Bodies) -> Float[np.ndarray, "C 3"]:
+    """Print colours: of what repeats as many whole pieces as come closest to their own size, else at each face."""
+    if not pattern.period:
+        return pattern.from_faces(plain.at(face_places(bodies, pattern.cover).at.T.double().numpy()))
+    pieces = max(1, round(pattern.period / PRINT_METRES))
+    return plain.at(pattern.centres / pattern.period * pieces * PRINT_METRES)
 
 
 def animal_face(bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"]:

@@ -17,15 +17,15 @@ from cloak_core.core.source import Mixture
 from cloak_core.core.technique import Setup, Techniques
 from cloak_core.core.train import Job, Material, run_training
 from cloak_core.core.world import LostProcess, World, join_world, local_device
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodySource
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.source import PeopleSource
-from cloak_core.studies.trainings.first_colors import first_colors, on_squares
+from cloak_core.studies.trainings.first_colors import first_colors
 from cloak_core.studies.trainings.run_record import Training, run_config
 
 
@@ -86,41 +86,36 @@ def make_job(training: Training, world: World) -> Job:
     device = local_device(settings.compute.device)
     detectors = [detector.to(device) for detector in training.detectors]
     surrogates = [detector.to(device) for detector in training.query_prior]
-    worn = Worn.of(settings.pattern, bodies, logo)
-    techniques = Techniques.built(Setup(settings, worn, detectors, device))
+    pattern = pattern_of(settings.pattern, bodies, logo)
+    techniques = Techniques.built(Setup(settings, pattern, detectors, device))
     begun = [technique.first() for technique in techniques.at("first")]
-    if begun:
-        first = worn.colors(begun[0])
-    else:
-        start = first_colors(settings.optimization, bodies, logo, settings.run.seed).numpy()
-        first = on_squares(worn.cloth, settings.optimization, start) if worn.cloth is not None else start
+    first = pattern.from_faces(begun[0]) if begun else first_colors(settings.optimization, pattern, bodies, settings.run.seed)
     config = run_config(training, world.size, techniques.content())
-    material = make_material(training, worn, device)
+    material = make_material(training, device)
     if not training.people or settings.photographs.people_share < 1:
-        require_visible(material.source)
-    return Job(settings, worn, first, techniques, material, detectors, surrogates, config)
+        bodies_of(material.source).require_visible(pattern)
+    return Job(settings, pattern, first, techniques, material, detectors, surrogates, config)
 
 
-def make_material(training: Training, worn: Worn, device: torch.device) -> Material:
+def make_material(training: Training, device: torch.device) -> Material:
     """Make the source of bodies, and of people in photographs where there are any."""
     settings = training.settings
-    bodies = BodySource(training.bodies, worn, settings.views, device)
+    bodies = BodySource.trained(training.bodies, settings.views, device)
     fits = Fits.of(training.people)
     if not fits:
         return Material(bodies, training.backgrounds)
-    people = PeopleSource(fits, worn, settings.photographs, settings.views.size, settings.run.seed)
+    people = PeopleSource(fits, settings.views.size, settings.photographs, settings.run.seed, device=device)
     mixed = Mixture(bodies, people, settings.photographs.people_share, settings.run.seed)
     return Material(mixed, training.backgrounds)
 
 
-def require_visible(source: BodySource | Mixture) -> None:
-    """Require that some training view of the bodies shows the logo. InputError: none does."""
-    bodies = source.first if isinstance(source, Mixture) else source
-    bodies.require_visible()
+def bodies_of(source: BodySource | Mixture) -> BodySource:
+    """Find the source of bodies, which people in photographs may stand beside."""
+    return source.first if isinstance(source, Mixture) else source
 
 
 def training_config(training: Training) -> dict:
     """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
-    worn = Worn.of(training.settings.pattern, training.bodies, training.logo)
-    techniques = Techniques.built(Setup(training.settings, worn, training.detectors, torch.device("cpu")))
+    pattern = pattern_of(training.settings.pattern, training.bodies, training.logo)
+    techniques = Techniques.built(Setup(training.settings, pattern, training.detectors, torch.device("cpu")))
     return run_config(training, files=techniques.content())

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float32, Int64, Integer
 from torch import Tensor
 
+from cloak_core.core.linear import LinearMap, SparseMap
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.compiled import arrays, loop
 
@@ -24,41 +25,47 @@ def draw_bodies(
     views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
     """See `Backend.draw_bodies`."""
-    count = sum(view.map.height for view in views)
+    maps = [view.map for view in views]
+    count = sum(each.height for each in maps)
     base, target = torch.empty(count, 3), torch.empty(count, dtype=torch.int64)
     moves = [(0, 0)] * len(views) if shifts is None else shifts.tolist()
     all_rows, all_base, all_target = arrays(rows, base, target)
-    for image, (view, own) in enumerate(zip(views, _logo_parts(views), strict=True)):
+    for image, (view, own) in enumerate(zip(views, _parts(maps), strict=True)):
         place = (image, view.width, view.height, *moves[image])
         _draw(*view.arrays, *place, all_rows, all_base[own], all_target[own])
     return base, target
 
 
-def _logo_parts(views: Sequence[BakedView]) -> Iterator[slice]:
-    """Yield where each view's logo pixels stand among those of all."""
+def _parts(maps: Sequence[LinearMap]) -> Iterator[slice]:
+    """Yield where each view's first pixels stand among those of all."""
     stop = 0
-    for view in views:
+    for each in maps:
         start = stop
-        stop = stop + view.map.height
+        stop = stop + each.height
         yield slice(start, stop)
 
 
 @dataclass(frozen=True, eq=False)
 class LogoMatrix:
-    """The sparse matrix from the logo's colours to its pixels in B images."""
+    """The maps from colours to the pixels that show them in B images: sparse ones in one loop, others in turn."""
 
-    blocks: list[tuple[tuple[np.ndarray, np.ndarray, np.ndarray], slice]]
-    """For each image: row offsets, faces and weights, and where its pixels stand among all."""
+    maps: Sequence[LinearMap]
+    own: Sequence[slice]
+    """Where each image's pixels stand among those of all."""
 
     def paint(
         self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
     ) -> tuple[Tensor, Tensor]:
         """See `backend.LogoMatrix`."""
         passes = torch.empty(len(target), dtype=torch.uint8)
-        all_colors, all_base, all_target, all_passes, all_rows = arrays(colors, base, target, passes, rows)
-        for image, (matrix, own) in enumerate(self.blocks):
+        all_colors, all_target, all_passes, all_rows = arrays(colors, target, passes, rows)
+        for image, (each, own) in enumerate(zip(self.maps, self.own, strict=True)):
+            these = colors[image] if colors.ndim == 3 else colors
+            body, matrix = base[own], each
+            if not isinstance(each, SparseMap):
+                body, matrix = body + each.apply(these), SparseMap.empty(each.height)
             these = all_colors[image] if all_colors.ndim == 3 else all_colors
-            _paint(*matrix, these, all_base[own], all_target[own], all_rows, all_passes[own])
+            _paint(*matrix.arrays, these, *arrays(body), all_target[own], all_rows, all_passes[own])
         return passes, target
 
     def gradient(
@@ -72,17 +79,22 @@ class LogoMatrix:
             upstream = upstream.permute(0, 2, 3, 1)
             pixel_step, channel_step = 3, 1
         result = torch.zeros(shape)
-        passes, target, numbers, total = arrays(*kept, upstream.reshape(images, -1), result)
-        for image, (matrix, own) in enumerate(self.blocks):
-            part = total[image] if total.ndim == 3 else total
-            first = image * height * width
-            _add_gradient(*matrix, passes[own], target[own], first, numbers[image], pixel_step, channel_step, part)
+        passes, target, numbers = arrays(*kept, upstream.reshape(images, -1))
+        for image, (each, own) in enumerate(zip(self.maps, self.own, strict=True)):
+            part = result[image] if result.ndim == 3 else result
+            is_sparse = isinstance(each, SparseMap)
+            matrix = each if is_sparse else SparseMap.identity(each.height)
+            sums = part if is_sparse else torch.zeros(each.height, 3)
+            place = (passes[own], target[own], image * height * width, numbers[image], pixel_step, channel_step)
+            _add_gradient(*matrix.arrays, *place, sums.numpy())
+            if not is_sparse:
+                part += each.adjoint(sums)
         return result
 
 
-def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
+def logo_matrix(maps: Sequence[LinearMap]) -> LogoMatrix:
     """See `Backend.logo_matrix`."""
-    return LogoMatrix([(view.map.arrays, own) for view, own in zip(views, _logo_parts(views), strict=True)])
+    return LogoMatrix(maps, list(_parts(maps)))
 
 
 @loop

@@ -7,7 +7,6 @@ from cloak_core.core.visibility.torch import (
     logo_matrix,
     merge_samples,
     split,
-    squares_under,
     visible_areas,
 )
 
@@ -18,6 +17,5 @@ __all__ = [
     "logo_matrix",
     "merge_samples",
     "split",
-    "squares_under",
     "visible_areas",
 ]

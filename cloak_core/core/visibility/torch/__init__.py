@@ -2,7 +2,6 @@
 
 from cloak_core.core.visibility.torch.areas import visible_areas
 from cloak_core.core.visibility.torch.baking import split
-from cloak_core.core.visibility.torch.cloth import squares_under
 from cloak_core.core.visibility.torch.matrix import build_view
 from cloak_core.core.visibility.torch.painting import draw_bodies, logo_matrix
 from cloak_core.core.visibility.torch.sampling import cover, merge_samples
@@ -14,6 +13,5 @@ __all__ = [
     "logo_matrix",
     "merge_samples",
     "split",
-    "squares_under",
     "visible_areas",
 ]

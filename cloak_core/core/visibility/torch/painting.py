@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Bool, Float32, Int64, Integer
 from torch import Tensor
 
-from cloak_core.core.linear import SparseMap
+from cloak_core.core.linear import LinearMap, SparseMap
 from cloak_core.core.view import BakedView
 
 Shifts = Integer[Tensor, "B 2"]
@@ -48,20 +48,28 @@ def draw_bodies(
 
 @dataclass(frozen=True, eq=False)
 class LogoMatrix:
-    """The sparse matrix from the logo's colours to its pixels in B images, and its transpose for the gradient."""
+    """The maps from colours to the pixels that show them in B images: sparse ones as the blocks of one, or in turn."""
 
-    forward: Tensor
-    """CSR tensor [M, B * L]."""
-    backward: Tensor
-    """CSR tensor [B * L, M], its transpose."""
-    images: int
-    """B."""
+    maps: Sequence[LinearMap]
+
+    @cached_property
+    def _whole(self) -> tuple[Tensor, Tensor] | None:
+        """CSR tensors [M, B * L] and its transpose; None where a map is no matrix."""
+        if not all(isinstance(each, SparseMap) for each in self.maps):
+            return None
+        # Each view's transpose is kept with the view, so that it is worked out once.
+        backward = SparseMap.blocks([each.transposed for each in self.maps])
+        return SparseMap.blocks(self.maps).matrix, backward.matrix
 
     def paint(
         self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
     ) -> tuple[Tensor, Tensor]:
         """See `backend.LogoMatrix`."""
-        body = torch.addmm(base, self.forward, colors.expand(self.images, -1, -1).reshape(-1, 3))
+        each = colors.expand(len(self.maps), -1, -1)
+        if self._whole is not None:
+            body = torch.addmm(base, self._whole[0], each.reshape(-1, 3))
+        else:
+            body = base + torch.cat([one.apply(own) for one, own in zip(self.maps, each, strict=True)])
         values = body.clamp(0, 1)
         rows.view(-1).scatter_(0, _numbers(target), values.view(-1))
         silent = (values != body).logical_or_((target == len(rows) - 1).unsqueeze(1))
@@ -79,16 +87,18 @@ class LogoMatrix:
             first = target + torch.div(target, plane, rounding_mode="floor") * (2 * plane)
             channel = torch.arange(3, device=target.device) * plane
             own = upstream.reshape(-1).index_select(0, (first.unsqueeze(1) + channel).view(-1)).view(-1, 3)
-        result = (self.backward @ own.masked_fill_(silent, 0)).view(self.images, -1, 3)
+        own = own.masked_fill_(silent, 0)
+        if self._whole is not None:
+            result = (self._whole[1] @ own).view(len(self.maps), -1, 3)
+        else:
+            parts = own.split([each.height for each in self.maps])
+            result = torch.stack([each.adjoint(part) for each, part in zip(self.maps, parts, strict=True)])
         return result.sum_to_size(shape).view(shape)
 
 
-def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
-    """See `Backend.logo_matrix`: the views' matrices as the blocks of one."""
-    forward = SparseMap.blocks([view.map for view in views])
-    # Each view's transpose is kept with the view, so that it is worked out once.
-    backward = SparseMap.blocks([view.map.transposed for view in views])
-    return LogoMatrix(forward.matrix, backward.matrix, len(views))
+def logo_matrix(maps: Sequence[LinearMap]) -> LogoMatrix:
+    """See `Backend.logo_matrix`."""
+    return LogoMatrix(maps)
 
 
 def _shifted(

@@ -10,11 +10,11 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from cloak_core.core.cloth import cloth_coordinates
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo
 from cloak_core.core.pictures import open_picture
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.errors import InputError
 
 TILE = 0.5

@@ -1,22 +1,83 @@
-"""A logo cut into patches of a smallest size along the surface: what cloth, knitting or a roller can still show."""
+"""Faces that share a colour in groups of a smallest size along the surface: what cloth or knitting can still show."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import cached_property
+
 import numpy as np
+import torch
 from jaxtyping import Float, Int64
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
+from torch import Tensor
 
 from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.core.logo import Logo
 from cloak_core.core.polygons import polygon_loops
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.patterns.faces import FacePattern
 
 
-def patch_of_face(bodies: Bodies, logo: Logo, size: float) -> Int64[np.ndarray, " L"]:
-    """Cut the logo into patches: the number, from 0, of each face's patch; `size` in metres along the surface.
+@dataclass(frozen=True, eq=False)
+class GroupPattern(FacePattern):
+    """Colours of faces that are equal within each group of neighbouring faces."""
 
-    Patches are what lies nearest to centres at least `size` apart, by the way over faces that share a corner. Each is
+    group: Int64[np.ndarray, " L"] = field(kw_only=True)
+    """Number of each face's group, from 0."""
+
+    @classmethod
+    def of(cls, bodies: Bodies, logo: Logo, size: float) -> GroupPattern:
+        """Cut a logo into groups of at least `size` metres along the surface."""
+        return cls(logo, bodies, group=group_of_face(bodies, logo, size))
+
+    @cached_property
+    def _group(self) -> Tensor:
+        return torch.from_numpy(self.group)
+
+    def spread(self, values: Float[Tensor, "N 3"]) -> Float[Tensor, "C 3"]:
+        """See `Pattern`."""
+        return values[self._group.to(values.device)]
+
+    def means(self, colors: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "N 3"]:
+        """See `Pattern`."""
+        return np.stack([np.bincount(self.group, channel) for channel in colors.T], axis=1) / self._sizes[:, None]
+
+    def from_faces(self, colors: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "C 3"]:
+        """See `Pattern`: each group gets the mean of its faces."""
+        return self.means(colors)[self.group].astype(np.float32)
+
+    @cached_property
+    def _sizes(self) -> Int64[np.ndarray, " N"]:
+        return np.bincount(self.group)
+
+    @property
+    def value_count(self) -> int:
+        """Number of groups."""
+        return len(self._sizes)
+
+    @cached_property
+    def neighbours(self) -> Int64[np.ndarray, "E 2"]:
+        """Pairs of groups with a common border."""
+        edges = self.group[self.edges]
+        return edges[edges[:, 0] != edges[:, 1]]
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "N 3"]:
+        """Middles of the groups, metres, in the first pose."""
+        return self.means(self.centres)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Side of a square as large as a group, metres, in the median."""
+        areas = face_areas(self.bodies)[self.cover.face_ids]
+        return float(np.sqrt(np.median(np.bincount(self.group, areas))))
+
+
+def group_of_face(bodies: Bodies, logo: Logo, size: float) -> Int64[np.ndarray, " L"]:
+    """Cut the logo into groups of faces: the number, from 0, of each face's group; `size` in metres along the surface.
+
+    Groups are what lies nearest to centres at least `size` apart, by the way over faces that share a corner. Each is
     joined by edges and has at least the area of a disc of that diameter, but where a whole piece of the logo has less.
     """
     ways = _ways(bodies, logo)
@@ -64,11 +125,11 @@ def _spread(ways: csr_matrix, size: float) -> Int64[np.ndarray, " P"]:
     return np.array(chosen, np.int64)
 
 
-def _merged(patch: np.ndarray, area: Float[np.ndarray, " L"], logo: Logo, least: float) -> Int64[np.ndarray, " L"]:
-    """Join patches under `least` square metres to the neighbour with which they share the longest border."""
-    areas = np.bincount(patch, area)
+def _merged(group: np.ndarray, area: Float[np.ndarray, " L"], logo: Logo, least: float) -> Int64[np.ndarray, " L"]:
+    """Join groups under `least` square metres to the neighbour with which they share the longest border."""
+    areas = np.bincount(group, area)
     borders: list[dict[int, float]] = [{} for _ in areas]
-    for first, second, length in zip(*patch[logo.edges].T.tolist(), logo.edge_lengths.tolist(), strict=True):
+    for first, second, length in zip(*group[logo.edges].T.tolist(), logo.edge_lengths.tolist(), strict=True):
         if first != second:
             borders[first][second] = borders[first].get(second, 0.0) + length
             borders[second][first] = borders[second].get(first, 0.0) + length
@@ -88,4 +149,4 @@ def _merged(patch: np.ndarray, area: Float[np.ndarray, " L"], logo: Logo, least:
         areas[small] = np.inf
     while not np.array_equal(into[into], into):
         into = into[into]
-    return np.unique(into[patch], return_inverse=True)[1].reshape(-1).astype(np.int64)
+    return np.unique(into[group], return_inverse=True)[1].reshape(-1).astype(np.int64)

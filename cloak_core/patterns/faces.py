@@ -1,0 +1,91 @@
+"""Colours of faces: each face that is worn has one of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Float32, Int64
+from torch import Tensor
+
+from cloak_core.core.geometry import face_areas, face_centres
+from cloak_core.core.linear import SparseMap
+from cloak_core.core.logo import Cover, Logo
+from cloak_core.core.pattern import Pattern, Recolor, as_tensor
+from cloak_core.core.places import Places
+from cloak_core.core.view import BakedView
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.identity import sha256_arrays, sha256_record
+
+
+@dataclass(frozen=True, eq=False)
+class FacePattern(Pattern):
+    """The faces of a logo. What is only judged needs neither bodies nor a logo's edges."""
+
+    cover: Cover | Logo
+    bodies: Bodies | None = None
+    colors: Float32[np.ndarray, "L 3"] | None = None
+    """Those that it is judged in."""
+
+    @property
+    def count(self) -> int:
+        """L."""
+        return len(self.cover)
+
+    def map(self, places: Places, offset: tuple[float, float] = (0.0, 0.0)) -> SparseMap:
+        """See `Pattern`."""
+        return places.shares
+
+    def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "L 3"]:
+        """See `Pattern`."""
+        return as_tensor(self.colors, view)
+
+    @property
+    def layout(self) -> tuple[str, str]:
+        """See `Pattern`: whatever colours faces is laid alike."""
+        return "faces", self.cover.key
+
+    @property
+    def identity(self) -> str:
+        """See `Pattern`."""
+        return sha256_record([type(self).__name__, self.cover.key, sha256_arrays(self.colors)])
+
+    def recolored(self, change: Recolor) -> FacePattern:
+        """See `Pattern`."""
+        return replace(self, colors=np.asarray(change(self.colors), np.float32))
+
+    @property
+    def edges(self) -> Int64[np.ndarray, "E 2"]:
+        """Pairs of faces that share an edge."""
+        return self.cover.edges
+
+    @property
+    def edge_lengths(self) -> Float[np.ndarray, " E"]:
+        """Metres, in the first pose."""
+        return self.cover.edge_lengths
+
+    @property
+    def neighbours(self) -> Int64[np.ndarray, "E 2"]:
+        """See `edges`."""
+        return self.edges
+
+    @cached_property
+    def centres(self) -> Float[np.ndarray, "L 3"]:
+        """Middles of the faces, metres, in the first pose."""
+        return face_centres(self.bodies)[self.cover.face_ids]
+
+    @property
+    def points(self) -> Float[np.ndarray, "N 3"]:
+        """See `centres`."""
+        return self.centres
+
+    @property
+    def value_count(self) -> int:
+        """L."""
+        return self.count
+
+    @cached_property
+    def spacing(self) -> float:
+        """Side of a square as large as a face, metres, in the median."""
+        return float(np.sqrt(np.median(face_areas(self.bodies)[self.cover.face_ids])))
