@@ -28,13 +28,14 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgroun
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.people import People, load_people
 from cloak_core.studies.figures import Figures
-from cloak_core.studies.trained_run import read_run, trained_specs
+from cloak_core.studies.trained_run import kept_back, read_run, trained_specs
 from cloak_core.studies.trainings.training import train as train_logo
 from cloak_core.zoo.entry import run_path
 
 if TYPE_CHECKING:
     from cloak_core.core.evaluation.measure import OnProgress
     from cloak_core.core.evaluation.settings import FilmSettings, WearSettings
+    from cloak_core.core.pattern import Pattern
     from cloak_core.sources.photographs.fitting import Fit
 
 T = TypeVar("T")
@@ -88,7 +89,7 @@ def train(
         bodies,
         logo if isinstance(logo, Logo) else load_logo(bodies, logo),
         as_detectors(detectors, settings.compute.device),
-        backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds),
+        _backdrops(backgrounds),
         out,
         resume=resume,
         on_event=None if on_event is None else _stopping(on_event, Path(out)),
@@ -138,10 +139,8 @@ def evaluate(
     false alarms. InputError: no finished run, a scene of another topology, nothing to evaluate on.
     """
     # They bring matplotlib, which training needs not.
-    from cloak_core.studies import evaluate as on_bodies
-    from cloak_core.studies.cloaked import open_cloaked
-    from cloak_core.studies.printed_cloth import cloth_of_snapshot
-    from cloak_core.studies.wearing import dressed as on_people
+    from cloak_core.studies import evaluate as study
+    from cloak_core.studies.opening import open_run, printed, snapshot_pattern
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
@@ -151,32 +150,43 @@ def evaluate(
             "--over-time: judges snapshots as they are, in our own renders: without --profile and --cycles"
         )
     judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
-    asked = {"detectors": judges, "on_progress": on_progress}
-    if people is not None:
+    if people is None:
+        bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
+        pattern, trained, name = open_run(folder, config, colors, bodies)
+        behind = _backdrops(backgrounds or kept_back("backgrounds", config))
+        angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
+        show = partial(study.show_bodies, bodies=bodies, backgrounds=behind, angles=angles)
+        place, curve = study.FOLDER, "curve"
+    else:
         if scene is not None or settings.cycles is not None:
             raise InputError("--people: photographs are what is judged on: without --scene and --cycles")
-        shown, trained, name = on_people.open_dressed(folder, config, people, backgrounds, colors)
-        place, curve = on_people.FOLDER, "curve-people"
-        measure = partial(on_people.evaluate_dressed, **asked)
-    else:
-        shown, trained, name = open_cloaked(folder, config, scene, backgrounds, colors)
-        angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
-        place, curve = on_bodies.FOLDER, "curve"
-        measure = partial(on_bodies.evaluate, angles=angles, **asked)
+        pattern, trained, name = open_run(folder, config, colors)
+        shown = people if isinstance(people, People) else load_people(people)
+        show = partial(study.show_people, people=shown, backgrounds=_backdrops(backgrounds or "procedural:test"))
+        place, curve = study.PEOPLE_FOLDER, "curve-people"
     parts = [place, name, "printed" if profile is not None else "", settings.cycles or ""]
     target = folder / "-".join(part for part in parts if part) if out is None else Path(out)
-    if profile is not None:
-        shown = shown.printed(read_profile(profile))
-    summary = measure(shown, settings=settings, training=trained, out=target)
+
+    def judge(worn: Pattern, how: EvaluateSettings, training: dict | None, out: Path | None) -> dict:
+        what = show(worn, detectors=judges, settings=how, training=training)
+        return study.evaluate(what, judges, how, out=out, on_progress=on_progress)
+
+    worn = pattern if profile is None else printed(pattern, read_profile(profile))
+    summary = judge(worn, settings, trained, target)
     if people is not None:
         summary["out"] = str(target)
     if over_time:
-
-        def judge(path: Path, bare: EvaluateSettings) -> dict:
-            return measure(shown.in_colors(path, cloth_of_snapshot(folder, path)), settings=bare)
-
-        summary["over_time"] = on_bodies.over_time(folder, judge, settings, curve)
+        summary["over_time"] = study.over_time(
+            folder,
+            lambda path, bare: judge(snapshot_pattern(folder, path, pattern.cover), bare, None, None),
+            settings,
+            curve,
+        )
     return Figures(summary)
+
+
+def _backdrops(backgrounds: Backgrounds | Named) -> Backgrounds:
+    return backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds)
 
 
 def film(
@@ -197,14 +207,16 @@ def film(
     prints: frames hidden, the longest visible run, first sight, tracks; per detector for colours and clothing.
     InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
     """
-    from cloak_core.studies.cloaked import open_cloaked
     from cloak_core.studies.film import make_film
+    from cloak_core.studies.opening import open_run
 
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
-    cloaked, _, _ = open_cloaked(folder, config, scene, backgrounds, colors)
+    bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
+    pattern, _, _ = open_run(folder, config, colors, bodies)
+    behind = _backdrops(backgrounds or kept_back("backgrounds", config))
     judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
-    return make_film(cloaked, judges, Path(out), settings, on_progress)
+    return make_film(pattern, bodies, behind, judges, Path(out), settings, on_progress)
 
 
 def wear(
@@ -239,7 +251,7 @@ def wear(
 
     settings = _either(settings, changes, WearSettings)
     given = [os.fspath(color) for color in ([colors] if isinstance(colors, str | os.PathLike) else colors)]
-    scenes = backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds)
+    scenes = _backdrops(backgrounds)
     judging = (people if isinstance(people, People) else load_people(people, images), _by_name(detectors, device))
     choosing = None
     if width_people is not None:

@@ -27,8 +27,8 @@ from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import write_json
 from cloak_core.library import load_people
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_axis, style
-from cloak_core.studies.wearing.clothes import read_clothes
 from cloak_core.studies.wearing.widths import AUTO, WIDTHS, width_curve
 
 PRINT = "print:"
@@ -86,7 +86,7 @@ def main() -> None:
     kept = given.out / "widths.json"
     record = read_json(kept) if kept.exists() else {}
     for picture in given.pictures:
-        name = read_clothes(f"{picture}@tile=0.5").name.removesuffix("@tile=0.5")
+        name = open_pattern(f"{picture}@tile=0.5")[2].removesuffix("@tile=0.5")
         if name not in record:
             record[name] = measured(picture, people, detectors)
             write_json(kept, record)

@@ -24,17 +24,18 @@ from scipy.stats import spearmanr
 
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.logo import load_logo
+from cloak_core.core.pattern import Pattern
 from cloak_core.detectors.loading import load_detector
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 from cloak_core.library import load_people
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.studies.cloaked import Cloaked, cloth_colors, open_cloaked
-from cloak_core.studies.evaluate import evaluate
+from cloak_core.studies.evaluate import evaluate, show_bodies
+from cloak_core.studies.opening import CLOTHES, is_picture, open_pattern, open_run
 from cloak_core.studies.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_along_x, percent_axis, style
-from cloak_core.studies.trained_run import read_run
-from cloak_core.studies.wearing.clothes import CLOTHES, PictureClothes, read_clothes
+from cloak_core.studies.trained_run import kept_back, read_run
 from cloak_core.studies.wearing.wearing import wear_and_judge
 from cloak_core.zoo.entry import run_path
 
@@ -53,17 +54,16 @@ RATES = ("success", "success_own")
 CONTROLS = ("clothing", "grey")
 
 
-def cloaked(spec: str, scenes: list, backgrounds: Backgrounds) -> Cloaked:
-    """Put one of COLORS on bodies."""
-    clothes = read_clothes(spec)
-    if isinstance(clothes, PictureClothes) and "@" in spec:
-        logo = load_logo(scenes[0], CLOTHES)
-        colors = cloth_colors(clothes.picture, clothes.metres, scenes[0], logo.face_ids)
-        return Cloaked(colors, logo, scenes[0], backgrounds)
+def opened(spec: str, scenes: list) -> tuple[Pattern, Bodies]:
+    """Open one of COLORS, and a scene whose bodies can wear it."""
+    if is_picture(spec):
+        cover = load_logo(scenes[0], CLOTHES)
+        return open_pattern(spec, cover, scenes[0])[0], scenes[0]
     folder = run_path(spec)
     config = read_run(folder)
     fitting = [scene for scene in scenes if scene.topology == config["topology"]]
-    return open_cloaked(folder, config, fitting[0] if fitting else None, backgrounds)[0]
+    bodies = fitting[0] if fitting else load_scene(kept_back("scene", config))
+    return open_run(folder, config, None, bodies)[0], bodies
 
 
 def rates(summary: dict, name: str) -> dict:
@@ -71,12 +71,15 @@ def rates(summary: dict, name: str) -> dict:
     return {spec: {key: said[name][key] for key in RATES} for spec, said in summary["detectors"].items()}
 
 
-def on_renders(worn: Cloaked, detectors: dict, controls: tuple[str, ...], out: Path) -> dict[str, dict]:
+def on_renders(
+    pattern: Pattern, bodies: Bodies, backgrounds: Backgrounds, detectors: dict, controls: tuple[str, ...], out: Path
+) -> dict[str, dict]:
     """Judge the logo, and controls, in every setting: by what is worn and by setting."""
     found = {what: {} for what in ("logo", *controls)}
     for name, (angles, changes) in RENDERS.items():
         settings = EvaluateSettings(images_per_view=1, controls=controls, bare=1, resamples=100, **changes)
-        summary = evaluate(worn, detectors, angles, settings, out=out / "evaluation" if settings.cycles else None)
+        shown = show_bodies(pattern, bodies, backgrounds, detectors, angles, settings)
+        summary = evaluate(shown, detectors, settings, out=out / "evaluation" if settings.cycles else None)
         for what, said in found.items():
             said[name] = rates(summary, what)
     return found
@@ -138,10 +141,10 @@ def main() -> None:
         write_json(seen, wear_and_judge(given.colors, load_people(given.people), detectors, backgrounds))
     photographs, textures = read_json(seen), {}
     for number, spec in enumerate(given.colors):
-        name, kept = read_clothes(spec).name, given.out / f"{number}.json"
+        name, kept = open_pattern(spec)[2], given.out / f"{number}.json"
         if not kept.exists():
-            worn = cloaked(spec, scenes, backgrounds)
-            write_json(kept, on_renders(worn, detectors, () if number else CONTROLS, given.out / str(number)))
+            worn = *opened(spec, scenes), backgrounds
+            write_json(kept, on_renders(*worn, detectors, () if number else CONTROLS, given.out / str(number)))
         for what, said in read_json(kept).items():
             called = name if what == "logo" else what
             textures[called] = {"photographs": rates(photographs, called)} | said

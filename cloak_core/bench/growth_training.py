@@ -15,12 +15,13 @@ from cloak_core.bench.step import Bench
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.settings import make_settings
 from cloak_core.detectors.loading import load_detector
+from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.wearing.clothes import controls
-from cloak_core.studies.wearing.renderer import dress, paint
+from cloak_core.studies.imagery import people_images
+from cloak_core.studies.opening import clothes_cover
 
 BATCH = 8
 STEPS = 12
@@ -48,9 +49,10 @@ def grow_people(count: int, people: str, images: Path | None) -> dict[str, float
         settings = make_settings("photographs", batch=BATCH, size=SIZE, steps=1000)
         bench = Bench(load_scene("sample[0:1]"), None, load_backgrounds("procedural:train:8"), settings, fits)
         step = bench.measure([load_detector("builtin")], STEPS)
-        grey = next(one for one in controls() if one.name == "grey")
+        grey = controls(("grey",), OwnClothing(clothes_cover()))["grey"]
+        images = people_images(fits, load_backgrounds("procedural:test:1"), WearSettings(size=SIZE))
         some = np.linspace(0, len(fits) - 1, min(WORN, len(fits))).astype(int).tolist()
-        clock.time("wear", lambda: [paint(*dress(fits[k], grey, k, WearSettings(size=SIZE))) for k in some])
+        clock.time("wear", lambda: [images.render([k], grey) for k in some])
         seconds = dict(clock.seconds)
         seconds["wear"] *= len(fits) / len(some)
         figures = {f"{name}_s": value for name, value in seconds.items()}

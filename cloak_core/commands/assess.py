@@ -128,12 +128,12 @@ class Assess(Splitting, Detecting, Sharing):
 
     def _patterns(self) -> tuple[str, ...]:
         """List the patterns with their widths. InputError: one cannot be read."""
-        from cloak_core.studies.wearing.clothes import cloth_spec, read_clothes
+        from cloak_core.studies.opening import cloth_spec, open_pattern
         from cloak_core.studies.wearing.patterns import pattern_specs
 
         patterns = tuple(cloth_spec(spec) for named in self.patterns for spec in pattern_specs(named))
         for spec in patterns:
-            read_clothes(spec)
+            open_pattern(spec)
         return patterns
 
     def work(self) -> dict[str, dict]:

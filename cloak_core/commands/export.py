@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from cloak_core.commands.base import out
 from cloak_core.commands.options import AboutRun, Computing
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.settings.values import Angles
-
-if TYPE_CHECKING:
-    from cloak_core.studies.body_renderer import BodyRenderer
 
 
 @dataclass(kw_only=True)
@@ -51,19 +48,21 @@ class Coco(AboutRun, Computing):
     """Every random draw derives from it."""
 
     def run(self) -> dict:
+        from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+        from cloak_core.sources.bodies.opening import load_scene
         from cloak_core.studies.coco import export_coco
+        from cloak_core.studies.imagery import drawn_images
+        from cloak_core.studies.opening import open_run
+        from cloak_core.studies.trained_run import kept_back
 
         self.prepare()
-        renderer = self._renderer()
+        folder, config = self.opened()
+        bodies = load_scene(self.scene or kept_back("scene", config))
+        pattern, _, _ = open_run(folder, config, None, bodies)
+        backgrounds = load_backgrounds(self.backgrounds or kept_back("backgrounds", config))
+        images = drawn_images(bodies, backgrounds, self.angles, self._settings(), self.compute.device, [pattern])
         with counted("rendering") as tell:
-            return export_coco(renderer, self.out, self.format, tell)
-
-    def _renderer(self) -> BodyRenderer:
-        from cloak_core.studies.cloaked import open_cloaked
-        from cloak_core.studies.evaluate import make_renderer
-
-        cloaked, _, _ = open_cloaked(*self.opened(), self.scene, self.backgrounds)
-        return make_renderer(cloaked, self.angles, self._settings(), self.compute.device)
+            return export_coco(images, pattern, self.out, self.format, tell)
 
     def _settings(self) -> EvaluateSettings:
         names = ("images_per_view", "most_images", "distances", "elevations", "size", "seed")

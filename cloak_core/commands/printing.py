@@ -10,7 +10,6 @@ from tyro.conf import UseAppendAction
 
 from cloak_core.commands.base import Command, load_scene, out
 from cloak_core.commands.options import AboutRun
-from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 
 
@@ -44,11 +43,10 @@ class Print(AboutRun):
     run's come out."""
 
     def run(self) -> dict:
-        from cloak_core.core.logo import load_logo
         from cloak_core.exchange.profiles import read_profile
         from cloak_core.products.printing import print_logo
         from cloak_core.sources.bodies.logos.palette import read_palette
-        from cloak_core.studies.printed_cloth import cloth_of_run
+        from cloak_core.studies.opening import open_run
 
         if self.palette is not None and self.profile is not None:
             raise InputError("--palette and --profile: either tells which colours there are")
@@ -59,12 +57,10 @@ class Print(AboutRun):
         if not scene:
             raise InputError("--scene: say which body (the run does not record it)")
         bodies = load_scene(scene)
-        ids = load_logo(bodies, folder / "logo.npy").face_ids
-        colors = read_colors(folder / "colors.npy", len(ids))
+        pattern, _, _ = open_run(folder, config, None, bodies)
         how = {"title": folder.resolve().name, "palette": palette, "project": self.project, "profile": profile}
         how |= {"own_pattern": self.pieces == "own", "allowance": self.allowance_cm / 100}
-        how["cloth"] = cloth_of_run(folder)
-        report = print_logo(bodies, ids, colors, self.out, dpi=self.dpi, page=self.page, **how)
+        report = print_logo(bodies, pattern, self.out, dpi=self.dpi, page=self.page, **how)
         return {"out": str(self.out)} | report
 
     def show(self, result: dict) -> None:

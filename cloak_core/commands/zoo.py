@@ -185,8 +185,10 @@ class Export(Command):
         return told
 
     def _write_glb(self, found: Entry) -> None:
+        from cloak_core.core.logo import load_logo
         from cloak_core.products.printing import write_worn
-        from cloak_core.studies.printed_cloth import PrintedCloth
+        from cloak_core.studies.opening import run_pattern
+        from cloak_core.zoo.entry import MARK, run_path
 
         require_new(self.out)
         if not 10 <= self.dpi <= 600:
@@ -200,10 +202,8 @@ class Export(Command):
             raise InputError(
                 f"{scene}: topology {bodies.topology}, zoo:{found.record['name']} is for {found.config['topology']}"
             )
-        cloth = None
-        if found.cloth is not None:
-            cloth = PrintedCloth.of(found.cloth, found.config["settings"]["tile_cm"] / 100)
-        write_worn(self.out, bodies, found.ids, found.colors, self.dpi, cloth)
+        path = run_path(MARK + found.record["name"])
+        write_worn(self.out, bodies, run_pattern(path, load_logo(bodies, path / "logo.npy"), bodies), self.dpi)
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['out']}: {result['faces']} faces of zoo:{result['name']}")

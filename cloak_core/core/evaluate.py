@@ -1,76 +1,90 @@
-"""Measure a source's images under every control, and count: one record of all that was found."""
+"""Evaluate: measure images of people in patterns by detectors, count, and say what the figures are of."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 
 from cloak_core.core.detector.protocol import Detector, detector_record
-from cloak_core.core.evaluation.measure import OnProgress, all_controls, kept_frozen, measure
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
+from cloak_core.core.evaluation.measure import OnImages, OnProgress, kept_frozen, measure
 from cloak_core.core.evaluation.results import Results
-from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.evaluation.settings import EvaluateSettings, WearSettings
 from cloak_core.core.evaluation.statistics import summarize
-from cloak_core.files.identity import code_hash, package_versions, sha256_record
+from cloak_core.core.images import ImageSet, Indices
+from cloak_core.core.pattern import Pattern
+from cloak_core.files.identity import package_versions, sha256_record
 
-ROOMS = ("exchange", "core", "sources", "detectors", "studies")
-"""The rooms whose code decides the figures of an evaluation."""
+MEASUREMENT_VERSION = 5
+"""Raise it by one when the same images, patterns and detectors give other scores or boxes than before: after a change
+of rendering, sampling, detectors, or of what is kept of their answers. The golden tests say when."""
+Patterns = Mapping[str, Pattern]
+"""What is worn, by name: what is judged first, then its controls."""
 
 
-def measure_and_count(
-    renderer: EvaluationRenderer,
+def evaluate(
+    images: ImageSet,
+    patterns: Patterns,
     detectors: dict[str, Detector],
-    settings: EvaluateSettings,
+    settings: EvaluateSettings | WearSettings,
     circumstances: Mapping[str, object],
-    controls: Sequence[str] | None = None,
     on_progress: OnProgress | None = None,
+    on_images: OnImages | None = None,
+    bare: Indices | None = None,
 ) -> tuple[dict, Results]:
-    """Measure the renderer's trials; return `summarize`, `detector_facts` and the circumstances in one record.
+    """Measure every pattern on the same images, and count: contract C6's figures, with the circumstances beside them.
 
-    circumstances: more keys of the record; `settings` and `inputs` (which gets the detectors' hashes) are among them.
-    controls: see `measure_frozen`.
+    circumstances: more keys of the summary; `inputs`, which gets the detectors' hashes and the evaluation's identity,
+    is among them. bare: see `measure_frozen`.
     """
-    results, hashes = measure_frozen(renderer, detectors, settings, on_progress, controls)
+    results, hashes = measure_frozen(images, patterns, detectors, settings, on_progress, on_images, bare)
     summary = summarize(results, settings.threshold, settings.resamples)
-    summary |= {"n": len(renderer.trials)} | detector_facts(detectors) | dict(circumstances)
-    summary["inputs"] = summary["inputs"] | {"detector_hashes": hashes}
+    summary |= {"n": len(images.trials)} | detector_facts(detectors) | dict(circumstances)
+    content = identity(images, patterns, detectors, settings)
+    summary["inputs"] = summary["inputs"] | {"detector_hashes": hashes} | ({"content": content} if content else {})
     return summary, results
 
 
-def content_hash(detectors: Mapping[str, Detector], circumstances: Mapping[str, object]) -> str | None:
+def measure_frozen(
+    images: ImageSet,
+    patterns: Patterns,
+    detectors: dict[str, Detector],
+    settings: EvaluateSettings | WearSettings,
+    on_progress: OnProgress | None = None,
+    on_images: OnImages | None = None,
+    bare: Indices | None = None,
+) -> tuple[Results, dict[str, str]]:
+    """Measure, and return the detectors' hashes, which the evaluation must not change.
+
+    bare: backgrounds without people that are looked at; None: as many as the settings say, drawn by the seed.
+    """
+    if bare is None:
+        order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(images.background_names))
+        bare = np.sort(order[: settings.bare])
+    more = {"batch": settings.batch, "on_progress": on_progress, "on_images": on_images}
+    with kept_frozen(detectors) as hashes:
+        results = measure(images, patterns, detectors, bare, **more)
+    return results, hashes
+
+
+def identity(
+    images: ImageSet, patterns: Patterns, detectors: Mapping[str, Detector], settings: EvaluateSettings | WearSettings
+) -> str | None:
     """Hash (SHA-256, hex) all that decides an evaluation; None where that is not known.
 
-    Not known: inputs without an `identity`, or a detector that no family loaded, whose code may be anything.
+    Not known: images that somebody else renders, or a detector that no family loaded, whose code may be anything.
     """
-    if "identity" not in circumstances["inputs"] or not all(detector.source for detector in detectors.values()):
+    shown = images.identity
+    if shown is None or not all(detector.source for detector in detectors.values()):
         return None
     judges = [
         [spec, detector_record(detector), detector.operating_point, detector.device.type]
         for spec, detector in detectors.items()
     ]
-    around = {"code": code_hash(*ROOMS), "packages": package_versions("torch", "numpy", "numba", "pillow")}
-    return sha256_record([judges, dict(circumstances), around])
-
-
-def measure_frozen(
-    renderer: EvaluationRenderer,
-    detectors: dict[str, Detector],
-    settings: EvaluateSettings,
-    on_progress: OnProgress | None = None,
-    controls: Sequence[str] | None = None,
-) -> tuple[Results, dict[str, str]]:
-    """Measure, and return the detectors' hashes, which the evaluation must not change.
-
-    controls: what is measured, the trained colours first; None: the settings' controls.
-    """
-    # Of more backgrounds than are looked at, a draw by the seed.
-    order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(renderer.background_names))
-    bare = np.sort(order[: settings.bare])
-    controls = controls or all_controls(settings)
-    with kept_frozen(detectors) as hashes:
-        results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
-    return results, hashes
+    around = {"version": MEASUREMENT_VERSION, "packages": package_versions("torch", "numpy", "numba", "pillow")}
+    worn = {name: pattern.identity for name, pattern in patterns.items()}
+    return sha256_record([shown, worn, list(worn), judges, asdict(settings), around])
 
 
 def detector_facts(detectors: Mapping[str, Detector]) -> dict:

@@ -24,6 +24,7 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.source import Backdrops, Source
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.threads import spread
+from cloak_core.files.identity import sha256_arrays, sha256_record
 
 Indices = Sequence[int] | np.ndarray
 """Images, or backgrounds, by number."""
@@ -66,6 +67,16 @@ class ImageSet:
     def __post_init__(self) -> None:
         self.device = torch.device(self.device)
 
+    @property
+    def identity(self) -> str | None:
+        """SHA-256 (hex) of all that the images show beside what is worn; None where that is not known."""
+        if self.source.identity is None:
+            return None
+        columns = {name: values.to_numpy() for name, values in self.trials.items()}
+        plain = {name: values.astype(np.str_) if values.dtype == object else values for name, values in columns.items()}
+        trials = {name: sha256_arrays(values) for name, values in plain.items()}
+        return sha256_record([self.source.identity, trials, self.size, self.backgrounds.identities()])
+
     # --- what training and judging share
 
     def make_views(
@@ -100,6 +111,10 @@ class ImageSet:
         moved = self.trials[["shift_x", "shift_y"]].to_numpy(np.int64)[np.asarray(indices, np.int64)]
         return torch.from_numpy(moved).to(self.device)
 
+    def render(self, indices: Indices, pattern: Pattern) -> Float[Tensor, "B 3 H W"]:
+        """Render these trials in one pattern, in [0, 1]."""
+        return next(self.compose(indices, [pattern]))
+
     def compose(self, indices: Indices, patterns: Sequence[Pattern]) -> Iterator[Float[Tensor, "B 3 H W"]]:
         """Render these trials in one pattern after the other, in [0, 1]; each may reuse the memory of the last."""
         last: tuple[Hashable, list[BakedView], Canvas] | None = None
@@ -113,9 +128,7 @@ class ImageSet:
             colors = [pattern.colors_in(view, int(i)) for view, i in zip(views, indices, strict=True)]
             yield last[2].paint(torch.stack(colors))
 
-    def judged(
-        self, detections: Detections, views: Sequence[BakedView], indices: Indices
-    ) -> tuple[Detections, OnBody]:
+    def judged(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> tuple[Detections, OnBody]:
         """Keep what is said of each image's person, and find the best scores on them: of persons, of other classes.
 
         A person box counts where it fits the body; in a photograph also where it lies within the person, and boxes of

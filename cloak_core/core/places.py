@@ -51,9 +51,7 @@ class Places:
     def of_faces(count: int, device: torch.device | str = "cpu") -> Places:
         """Make each worn face a place of its own, of which nobody says where on a cloth it lies."""
         nowhere = torch.full((2, count), torch.nan, device=device)
-        return Places(
-            torch.arange(count, device=device), nowhere, nowhere, lambda: SparseMap.identity(count, device)
-        )
+        return Places(torch.arange(count, device=device), nowhere, nowhere, lambda: SparseMap.identity(count, device))
 
     @staticmethod
     def on_cloth(face: Int64[Tensor, " P"], cloth: Float32[Tensor, "4 P"], count: int) -> Places:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.view import BakedView
+from cloak_core.files.identity import sha256_record
 
 _CHOICE = 4
 """Stream of random numbers, apart from those of `sampling`."""
@@ -53,6 +54,8 @@ class Source(Plan, Protocol):
 
     works_on: torch.device
     """What makes its views."""
+    identity: str | None
+    """SHA-256 (hex) of all that it shows beside what is worn; None where that is not known."""
 
     def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         """Make one image's view, of its columns, with places on the faces that the pattern covers.
@@ -70,6 +73,10 @@ class Backdrops(Protocol):
 
     def image(self, index: int, size: tuple[int, int]) -> UInt8[Tensor, "3 H W"]:
         """One of them, cut to (height, width)."""
+        ...
+
+    def identities(self) -> list[str]:
+        """SHA-256 (hex) of each."""
         ...
 
 
@@ -96,6 +103,11 @@ class Mixture:
     def is_fresh(self) -> bool:
         """Whether both are."""
         return self.first.is_fresh
+
+    @property
+    def identity(self) -> str:
+        """That of both."""
+        return sha256_record([self.first.identity, self.second.identity, self.rate, self.seed])
 
     @property
     def works_on(self) -> torch.device:

@@ -8,14 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from jaxtyping import Float32
 from PIL import Image
 
 from cloak_core.core.evaluation.results import Results
+from cloak_core.core.pattern import Pattern
 from cloak_core.experiments.charts import Chart, Matrix, Thresholds
 from cloak_core.experiments.logos import FaceIds
-from cloak_core.studies.printed_cloth import PrintedCloth
 from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Trained
@@ -38,10 +36,8 @@ class Cell:
     """Detectors trained against; the first where none are named."""
     training: Mapping[str, object] = field(default_factory=dict)
     """Further arguments of `RunStore.train_faces`: settings, bodies, precision."""
-    colors: Float32[np.ndarray, "L 3"] | None = None
-    """Of these faces, to be judged without training."""
-    cloth: PrintedCloth | None = None
-    """What these colours are the means of."""
+    pattern: Pattern | None = None
+    """To be judged without training."""
     begun: Sequence[str] = ()
     """Detectors whose cloak of the same faces, as the experiment's length makes it, the training begins with."""
     judges: Sequence[str] = ()

@@ -60,7 +60,7 @@ def _row(number: int, cell: Cell, store: RunStore, paces: dict[str, Pace]) -> Ro
     specs = cell.specs or store.specs[:1]
     judges = cell.judges or specs
     updates = batch = 0
-    if cell.colors is None:
+    if cell.pattern is None:
         changes = {key: value for key, value in cell.training.items() if key not in ("bodies", "precision")}
         settings = store.train_settings(store.options.seed, specs, **changes)
         updates = len(store.options.seed_list) * settings.total_steps(len(store.split.backgrounds))

@@ -112,8 +112,8 @@ def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, li
 
 def _trained(cell: Cell, store: RunStore) -> list[Trained]:
     faces = chest_thighs(store.split.bodies) if cell.faces is None else cell.faces
-    if cell.colors is not None:
-        return [store.untrained(cell.colors, faces, cloth=cell.cloth)]
+    if cell.pattern is not None:
+        return [store.untrained(cell.pattern)]
     training = dict(cell.training)
     if cell.begun:
         length = {"angles": MULTI, "steps": store.steps(cell.begun, angles=MULTI)}
@@ -130,7 +130,7 @@ def _row(cell: Cell, bodies: Bodies, trained: list[Trained], results: Results, s
     """Make the row of one judge over all images of a cell."""
     label = dict(cell.label)
     if cell.area:
-        label["area_share"] = round(area_share(bodies, trained[0].logo.face_ids), 4)
+        label["area_share"] = round(area_share(bodies, trained[0].pattern.cover.face_ids), 4)
     if cell.along:
         label[next(iter(cell.along))] = "all"
     label.setdefault(cell.judge_column, spec)

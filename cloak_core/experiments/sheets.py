@@ -13,8 +13,8 @@ from matplotlib.patches import Rectangle
 from PIL import Image
 
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.evaluation.controls import LOGO
-from cloak_core.core.evaluation.renderer import EvaluationRenderer, render_images
+from cloak_core.core.images import ImageSet
+from cloak_core.core.pattern import Pattern
 from cloak_core.studies.report.pictures import reported, to_pil
 from cloak_core.studies.report.style import INK, style
 
@@ -53,9 +53,9 @@ def draw_sheet(rows: Mapping[str, Sequence[Picture]]) -> Image.Image:
 
 
 @torch.no_grad()
-def trial_picture(renderer: EvaluationRenderer, trial: int, detector: Detector, threshold: float) -> Picture:
-    """Show one trial in the trained colours, with the boxes that a detector reports."""
-    image = render_images(renderer, [trial], LOGO)
+def trial_picture(images: ImageSet, pattern: Pattern, trial: int, detector: Detector, threshold: float) -> Picture:
+    """Show one trial in a pattern, with the boxes that a detector reports."""
+    image = images.render([trial], pattern)
     report = reported(image, {"": detector}, threshold)
     boxes = report["boxes"][""]
     score = report["scores"][""]

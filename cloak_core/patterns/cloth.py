@@ -74,7 +74,9 @@ class ClothPattern(Pattern):
     needs_cloth = True
 
     @classmethod
-    def of_picture(cls, cover: Cover, picture: UInt8[np.ndarray, "h w 3"], metres: float, **more: object) -> ClothPattern:
+    def of_picture(
+        cls, cover: Cover, picture: UInt8[np.ndarray, "h w 3"], metres: float, **more: object
+    ) -> ClothPattern:
         """Wear a picture `metres` wide: a square for each of its pixels."""
         height, width = picture.shape[:2]
         return cls(cover, Grid(metres, width, height), picture.reshape(-1, 3).astype(np.float32) / 255, **more)

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from cloak_core.core.evaluation.controls import CLOTHING, NAMES
+from cloak_core.core.evaluation.controls import CLOTHING, NAMES, RESAMPLED
 from cloak_core.core.geometry import face_centres
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.pattern import Pattern
@@ -22,6 +22,7 @@ from cloak_core.core.places import Places
 from cloak_core.core.view import BakedView
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
 from cloak_core.patterns.faces import FacePattern
 
 STRIPE = 0.05
@@ -57,15 +58,18 @@ class RandomColors(FacePattern):
 
     seed: int = 0
 
+    @property
+    def identity(self) -> str:
+        """See `Pattern`."""
+        return sha256_record([type(self).__name__, self.cover.key, self.seed])
+
     def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "L 3"]:
         """See `Pattern`."""
         drawn = np.random.default_rng([self.seed, image]).random((self.count, 3), np.float32)
         return torch.from_numpy(drawn).to(view.pixels.device)
 
 
-def controls(
-    names: Sequence[str], judged: Pattern, seed: int = 0, bodies: Bodies | None = None
-) -> dict[str, Pattern]:
+def controls(names: Sequence[str], judged: Pattern, seed: int = 0, bodies: Bodies | None = None) -> dict[str, Pattern]:
     """Make the controls of these names for the faces that `judged` covers. InputError: a name is none.
 
     bodies: what stripes and checks, which are as strong as the judged colours, are drawn on.
@@ -81,7 +85,7 @@ def _control(name: str, judged: Pattern, seed: int, bodies: Bodies | None) -> Pa
         return FacePattern(cover, colors=np.full((len(cover), 3), 0.5, np.float32))
     if name == "random":
         return RandomColors(cover, seed=seed)
-    if name == "resampled":
+    if name == RESAMPLED:
         return Resampled(cover)
     if name in NAMES and bodies is not None:
         return FacePattern(cover, colors=_two_tone(judged.colors, name, face_centres(bodies)[cover.face_ids]))

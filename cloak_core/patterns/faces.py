@@ -49,7 +49,8 @@ class FacePattern(Pattern):
     @property
     def identity(self) -> str:
         """See `Pattern`."""
-        return sha256_record([type(self).__name__, self.cover.key, sha256_arrays(self.colors)])
+        colors = None if self.colors is None else sha256_arrays(self.colors)
+        return sha256_record([type(self).__name__, self.cover.key, colors])
 
     def recolored(self, change: Recolor) -> FacePattern:
         """See `Pattern`."""

@@ -1,18 +1,19 @@
-"""Face colours, or a cloth, as a picture on a layout, and the whole body's texture coordinates into it."""
+"""A pattern as a picture on a layout, and the whole body's texture coordinates into it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer, UInt8
+import torch
+from jaxtyping import Bool, Float, Integer, UInt8
 
-from cloak_core.core.cloth import corner_places
+from cloak_core.core.pattern import Pattern
+from cloak_core.core.places import Places, corner_places
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.products.layout import Layout, inside
 from cloak_core.sources.bodies.meshes.pictures import color_squares, to_bytes
-from cloak_core.studies.printed_cloth import PrintedCloth
 
 MAX_PIXELS = 400 << 20
 PADDING = 0.002
@@ -31,47 +32,24 @@ class Texture:
     """Rows of the picture, from the top, that show the charts."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sewn:
-    """A cloth on the triangles of a layout: which of its colours each point shows."""
-
-    cloth: PrintedCloth
-    corners: Float[np.ndarray, "t 3 2"]
-    """In the picture, pixels, y up."""
-    places: Float[np.ndarray, "t 3 2"]
-    """On the cloth, metres right and down."""
-
-    def colors_at(self, number: int, points: Float[np.ndarray, "n 2"]) -> UInt8[np.ndarray, "n 3"]:
-        """Look up points (pixels) of one triangle on the cloth, affinely from corner to corner."""
-        corners, places = self.corners[number], self.places[number]
-        across = (points - corners[0]) @ np.linalg.pinv(corners[1:] - corners[0])
-        squares = self.cloth.cloth.square_at(places[0] + across @ (places[1:] - places[0]))
-        return to_bytes(self.cloth.colors[squares])
+MOST_TEXELS = 1 << 21
+"""Points of a picture that are looked up on a pattern at once."""
 
 
-def bake(
-    bodies: Bodies,
-    layout: Layout,
-    face_colors: Float32[np.ndarray, "faces 3"],
-    dpi: int,
-    cloth: PrintedCloth | None = None,
-) -> Texture:
-    """Paint the colours of all faces ([F, 3] sRGB, the logo's among them) at `dpi` dots to the inch of the layout.
+def bake(bodies: Bodies, layout: Layout, pattern: Pattern, dpi: int) -> Texture:
+    """Paint a pattern in its colours, and the first outfit's on all other faces, at `dpi` dots to the inch.
 
-    cloth: what the logo's faces show in place of their colours, as fine as it is printed.
+    layout: of the faces that the pattern covers.
     """
     dots = dpi / 0.0254
     width, rows = (int(np.ceil(extent * dots)) for extent in layout.size)
     plain = np.setdiff1d(np.arange(bodies.triangle_count), layout.triangles)
-    squares, centres = color_squares(face_colors[bodies.triangle_face[plain]], width)
+    squares, centres = color_squares(bodies.face_colors[0][bodies.triangle_face[plain]], width)
     height = rows + len(squares)
     if width * height > MAX_PIXELS:
         raise InputError(f"{dpi} dpi: a picture of {width} x {height} pixels is too large")
     image = np.full((height, width, 3), 255, np.uint8)
-    colors = to_bytes(face_colors[bodies.triangle_face[layout.triangles]])
-    corners = layout.corners * dots
-    places = None if cloth is None else corner_places(bodies)[:, :, layout.triangles].transpose(2, 1, 0)
-    painted = paint(image[:rows], corners, colors, None if cloth is None else Sewn(cloth, corners, places))
+    painted = paint(image[:rows], layout, pattern, bodies, dots)
     spread(image[:rows], painted, int(np.ceil(PADDING * dots)))
     image[rows:] = squares
     uv = np.zeros((bodies.triangle_count, 3, 2))
@@ -81,27 +59,54 @@ def bake(
 
 
 def paint(
-    image: UInt8[np.ndarray, "h w 3"],
-    corners: Float[np.ndarray, "t 3 2"],
-    colors: UInt8[np.ndarray, "t 3"],
-    sewn: Sewn | None = None,
+    image: UInt8[np.ndarray, "h w 3"], layout: Layout, pattern: Pattern, bodies: Bodies, dots: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Fill triangles (pixels, y up from the picture's lower border) with plain colours or a cloth, every pixel whose
-    centre they hold; returns which pixels were filled [H, W]."""
+    """Paint a layout's triangles at `dots` pixels a metre, every pixel whose centre they hold.
+
+    Each pixel shows the mean of the pattern under it. Returns which pixels were painted [H, W].
+    """
     painted = np.zeros(image.shape[:2], bool)
     height, width = painted.shape
+    corners = layout.corners * dots
+    places = corner_places(bodies)[:, :, layout.triangles].transpose(2, 1, 0)
     low = np.floor(corners.min(axis=1) - 0.5).astype(int)
     high = np.ceil(corners.max(axis=1) + 0.5).astype(int)
-    for number, (triangle, color, (x0, y0), (x1, y1)) in enumerate(zip(corners, colors, low, high, strict=True)):
+    found: list[tuple[np.ndarray, ...]] = []
+    waiting = 0
+    for number, (triangle, (x0, y0), (x1, y1)) in enumerate(zip(corners, low, high, strict=True)):
         x = np.arange(max(x0, 0), min(x1, width))
         y = np.arange(max(y0, 0), min(y1, height))
         points = np.stack(np.meshgrid(x + 0.5, y + 0.5), axis=-1).reshape(-1, 2)
         hit = inside(triangle, points)
         rows, columns = np.nonzero(hit.reshape(len(y), len(x)))
-        shown = color if sewn is None else sewn.colors_at(number, points[hit])
-        image[height - 1 - y[rows], x[columns]] = shown
-        painted[height - 1 - y[rows], x[columns]] = True
+        across = (points[hit] - triangle[0]) @ np.linalg.pinv(triangle[1:] - triangle[0])
+        at = places[number, 0] + across @ (places[number, 1:] - places[number, 0])
+        found.append((height - 1 - y[rows], x[columns], np.full(len(rows), layout.triangles[number]), at))
+        waiting += len(rows)
+        if waiting > MOST_TEXELS or number == len(corners) - 1:
+            row, column, of_triangle, at = map(np.concatenate, zip(*found, strict=True))
+            image[row, column] = _shown(pattern, bodies, bodies.triangle_face[of_triangle], at, 1 / dots)
+            painted[row, column] = True
+            found, waiting = [], 0
     return painted
+
+
+def _shown(
+    pattern: Pattern,
+    bodies: Bodies,
+    face: Integer[np.ndarray, " n"],
+    at: Float[np.ndarray, "n 2"],
+    width: float,
+) -> UInt8[np.ndarray, "n 3"]:
+    """Look up a pattern at points of faces that see `width` metres of a cloth; own colours where it is not worn."""
+    position = np.full(bodies.face_count, -1)
+    position[pattern.cover.face_ids] = np.arange(len(pattern.cover))
+    cloth = np.concatenate([at.T, np.full((2, len(at)), width)]).astype(np.float32)
+    worn = pattern.map(Places.on_cloth(torch.from_numpy(position[face]), torch.from_numpy(cloth), len(pattern.cover)))
+    colors = worn.apply(torch.from_numpy(np.ascontiguousarray(pattern.colors, np.float32))).numpy()
+    is_bare = (worn.crow.diff() == 0).numpy()
+    colors[is_bare] = bodies.face_colors[0][face[is_bare]]
+    return to_bytes(colors)
 
 
 def spread(image: UInt8[np.ndarray, "h w 3"], painted: Bool[np.ndarray, "h w"], steps: int) -> None:
@@ -122,12 +127,3 @@ def spread(image: UInt8[np.ndarray, "h w 3"], painted: Bool[np.ndarray, "h w"], 
             painted[to_y[free], to_x[free]] = True
             front.append((to_y[free], to_x[free]))
         y, x = (np.concatenate(side) for side in zip(*front, strict=True))
-
-
-def dressed(
-    bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"]
-) -> Float32[np.ndarray, "faces 3"]:
-    """Give all faces' colours: the first outfit with the logo on it."""
-    all_colors = bodies.face_colors[0].copy()
-    all_colors[face_ids] = colors
-    return all_colors

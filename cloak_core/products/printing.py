@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer
+from jaxtyping import Bool, Float, Float32
 from PIL import Image
 
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.polygons import per_corner, polygon_loops
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, require_new, write_bytes, write_json, write_text
-from cloak_core.products.baking import Texture, bake, dressed
+from cloak_core.products.baking import Texture, bake
 from cloak_core.products.layout import Layout, lay_out
 from cloak_core.products.print_sheets import write_sheets
 from cloak_core.products.tiling import PAGES
 from cloak_core.sources.bodies.logos.palette import TOLERANCE, nearest_in_palette
 from cloak_core.sources.bodies.meshes.mesh_file import to_linear, to_srgb
-from cloak_core.studies.printed_cloth import PrintedCloth
 
 DPI = (10, 1200)
 MOST_ALLOWANCE = 0.05
@@ -30,8 +29,7 @@ MOST_ALLOWANCE = 0.05
 
 def print_logo(
     bodies: Bodies,
-    face_ids: Integer[np.ndarray, " logo"],
-    colors: Float32[np.ndarray, "colors 3"],
+    pattern: Pattern,
     out: str | Path,
     dpi: int = 150,
     page: str = "A4",
@@ -41,35 +39,28 @@ def print_logo(
     profile: Profile | None = None,
     own_pattern: bool = False,
     allowance: float = 0.0,
-    cloth: PrintedCloth | None = None,
 ) -> dict:
     """Write a print folder: cloak.png (the layout, picture of the whole body), body.glb, body.obj + .mtl, sheets.pdf
     and print.json, the report that is also returned.
 
-    colors: [L, 3] sRGB in [0, 1]; project: replace colours that a four-colour printer cannot mix by the nearest that it
+    pattern: in its colours; project: replace colours that a four-colour printer cannot mix by the nearest that it
     can (they are counted either way); palette: the colours there are, sRGB, instead of a four-colour printer's, and
     `project` then leaves no others; profile: of the printer and a camera (`cloak calibrate`): the sheets, and a picture
     to-print.png, then have the colours to send so that these come out. Those that cannot come out (counted) get the
     nearest that can, and body and cloak.png show what comes out. own_pattern: lay out the pieces of the mesh's own UV
-    map (a garment's) instead of cutting charts; allowance: metres of cloth around each piece; cloth: one that repeats,
-    shown in place of the colours, which are its means on each face.
+    map (a garment's) instead of cutting charts; allowance: metres of cloth around each piece.
 
     Sizes are those of the first pose. The folder appears whole or not at all; raises `InputError` where it exists, and
     for options out of range.
     """
     out = Path(out)
-    _check(out, dpi, page, allowance, len(colors), len(face_ids))
-    worn = colors if cloth is None else cloth.colors
-    near, beyond, sent = _what_comes_out(worn, palette, profile)
-    layout = lay_out(bodies, face_ids, own_pattern)
-
-    def painted(shown: Float32[np.ndarray, "n 3"]) -> Texture:
-        if cloth is None:
-            return bake(bodies, layout, dressed(bodies, face_ids, shown), dpi)
-        return bake(bodies, layout, dressed(bodies, face_ids, colors), dpi, replace(cloth, colors=shown))
-
-    texture = painted(near if project or profile is not None else worn)
-    sheets = texture if sent is None else painted(sent)
+    _check(out, dpi, page, allowance)
+    near, beyond, sent = _what_comes_out(pattern.colors, palette, profile)
+    faces = pattern.cover.face_ids
+    layout = lay_out(bodies, faces, own_pattern)
+    shown = pattern.recolored(lambda colors: near) if project or profile is not None else pattern
+    texture = bake(bodies, layout, shown, dpi)
+    sheets = texture if sent is None else bake(bodies, layout, pattern.recolored(lambda colors: sent), dpi)
     with new_folder(out) as folder:
         save_picture(folder / "cloak.png", Image.fromarray(texture.image))
         if sent is not None:
@@ -77,7 +68,7 @@ def print_logo(
         write_glb(folder / "body.glb", bodies, texture)
         write_obj(folder / "body.obj", bodies, texture, "cloak.png")
         drawn = write_sheets(folder / "sheets.pdf", bodies, layout, sheets, page, title, allowance)
-        report = {"faces": len(face_ids), "colors": len(worn), **_figures(layout), "dpi": dpi}
+        report = {"faces": len(faces), "colors": pattern.count, **_figures(layout), "dpi": dpi}
         report["image"] = list(texture.image.shape[1::-1])
         report |= {"page": page, **drawn, "own_pattern": own_pattern, "allowance_m": allowance}
         report |= {"unprintable_colors": int(beyond.sum()), "projected": bool(project or profile is not None)}
@@ -86,20 +77,9 @@ def print_logo(
     return report | {"out": str(out)}
 
 
-def write_worn(
-    path: Path,
-    bodies: Bodies,
-    face_ids: Integer[np.ndarray, " logo"],
-    colors: Float32[np.ndarray, "logo 3"],
-    dpi: int,
-    cloth: PrintedCloth | None = None,
-) -> None:
-    """Write one .glb of the first pose in its first outfit, with the logo's colours [L, 3], sRGB in [0, 1], on it.
-
-    cloth: that repeats, shown in place of the colours.
-    """
-    layout = lay_out(bodies, face_ids)
-    write_glb(path, bodies, bake(bodies, layout, dressed(bodies, face_ids, colors), dpi, cloth))
+def write_worn(path: Path, bodies: Bodies, pattern: Pattern, dpi: int) -> None:
+    """Write one .glb of the first pose in its first outfit, with a pattern in its colours on it."""
+    write_glb(path, bodies, bake(bodies, lay_out(bodies, pattern.cover.face_ids), pattern, dpi))
 
 
 def _what_comes_out(
@@ -114,7 +94,7 @@ def _what_comes_out(
     return near, np.abs(near - colors).max(axis=1) > TOLERANCE, sent
 
 
-def _check(out: Path, dpi: int, page: str, allowance: float, colors: int, faces: int) -> None:
+def _check(out: Path, dpi: int, page: str, allowance: float) -> None:
     require_new(out)
     if page not in PAGES:
         raise InputError(f"page {page}: {', '.join(PAGES)} are known")
@@ -122,8 +102,6 @@ def _check(out: Path, dpi: int, page: str, allowance: float, colors: int, faces:
         raise InputError(f"{dpi} dpi: between {DPI[0]} and {DPI[1]} is possible")
     if not 0 <= allowance <= MOST_ALLOWANCE:
         raise InputError(f"an allowance of {100 * allowance:g} cm: 0 to {100 * MOST_ALLOWANCE:g} cm are possible")
-    if colors != faces:
-        raise InputError(f"colours for {colors} faces, but the logo has {faces}")
 
 
 def _figures(layout: Layout) -> dict[str, object]:

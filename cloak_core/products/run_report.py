@@ -11,11 +11,10 @@ from cloak_core.core.evaluation.results import NOBODY
 from cloak_core.core.evaluation.statistics import hidden
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
-from cloak_core.studies.evaluate import FOLDER, StoredEvaluation, is_earlier_on_people, read_evaluation
+from cloak_core.studies.evaluate import FOLDER, PEOPLE_FOLDER, StoredEvaluation, is_earlier_on_people, read_evaluation
 from cloak_core.studies.report import plots, words
 from cloak_core.studies.report.page import MAX_PICTURE, data_uri, page_style, shot, svg, write_page
 from cloak_core.studies.trained_run import read_history
-from cloak_core.studies.wearing.dressed import FOLDER as PEOPLE_FOLDER
 
 BLENDER = "blender.png"
 """What a training through Blender leaves in the run folder: the cloaked body as Blender renders it."""

@@ -20,26 +20,26 @@ from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.evaluation.measure import batches, measure
-from cloak_core.core.evaluation.renderer import EvaluationRenderer, Indices, render_images
 from cloak_core.core.evaluation.results import NOBODY
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import hidden
 from cloak_core.core.evaluation.trials import make_trials
-from cloak_core.core.logo import make_logo
+from cloak_core.core.images import ImageSet, Indices
+from cloak_core.core.logo import Cover
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.detectors.check import read_image
 from cloak_core.detectors.defended.masks import Masks
 from cloak_core.detectors.verification.kit import CHECKS, framed, natural_size, verify
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.backdrops.backgrounds import SUFFIXES, Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
-from cloak_core.studies.wearing.renderer import PeopleRenderer
+from cloak_core.studies.imagery import body_images, people_images
+from cloak_core.studies.opening import clothes_cover
 
 SHIFT = (50, 20)
 """The body is moved by up to this many pixels, right or left and up or down: it stays in the picture."""
@@ -73,9 +73,8 @@ def check_scene(
     background = rng.integers(len(backgrounds), size=len(pose))
     shift = np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1)
     trials = make_trials(pose, angle, camera.elevation, camera.distance, background, shift)
-    view_cache = ViewCache(bodies, RenderSettings(device=detector.device))
-    renderer = _clean_renderer(bodies, backgrounds, trials, camera, view_cache)
-    rates, bare = _check(detector, renderer, "score", np.arange(len(backgrounds)))
+    images = _clean_images(bodies, backgrounds, trials, camera, RenderSettings(device=detector.device))
+    rates, bare = _check(detector, images, _own(bodies), "score", np.arange(len(backgrounds)))
     own = detector.operating_point
     loudest = bare[(bare["score"] > min(THRESHOLD, own)).to_numpy()].sort_values(
         "score", ascending=False, kind="stable"
@@ -95,20 +94,20 @@ def check_people(detector: Detector, people: People) -> dict:
     Returns {"clean_recall": share with a box on them above 0.6, "clean_recall_own", "operating_point",
     "operating_point_assumed", "n": people}, and `certified_recall`.
     """
-    renderer = PeopleRenderer(fit_people(people), (), load_backgrounds("procedural:test:1"), WearSettings())
-    return _check(detector, renderer, "score_on")[0]
+    images = people_images(fit_people(people), load_backgrounds("procedural:test:1"), WearSettings(), detector.device)
+    return _check(detector, images, OwnClothing(clothes_cover()), "score_on")[0]
 
 
 def _check(
-    detector: Detector, renderer: EvaluationRenderer, column: str, bare: Indices = ()
+    detector: Detector, images: ImageSet, own_clothing: Pattern, column: str, bare: Indices = ()
 ) -> tuple[dict, pd.DataFrame]:
     """Measure own clothing; return recall by this column of the results, and the rows of bare backgrounds."""
     spec, own = detector.spec, detector.operating_point
-    results = measure(renderer, {spec: detector}, (CLOTHING,), bare, batch=BATCH)
+    results = measure(images, {CLOTHING: own_clothing}, {spec: detector}, bare, batch=BATCH)
     rows = results.rows(spec, CLOTHING)
     rates = {"clean_recall": _found(rows, THRESHOLD, column), "clean_recall_own": _found(rows, own, column)}
     rates |= {"operating_point": own, "operating_point_assumed": detector.operating_point_assumed, "n": len(rows)}
-    return rates | certified_recall(detector, renderer, THRESHOLD), results.rows(spec, NOBODY)
+    return rates | certified_recall(detector, images, own_clothing, THRESHOLD), results.rows(spec, NOBODY)
 
 
 def _found(rows: pd.DataFrame, threshold: float, column: str = "score") -> float:
@@ -116,8 +115,8 @@ def _found(rows: pd.DataFrame, threshold: float, column: str = "score") -> float
 
 
 @torch.no_grad()
-def certified_recall(detector: Detector, renderer: EvaluationRenderer, threshold: float) -> dict:
-    """Certify the people of a renderer against one patch (`detectors.defended.masks`).
+def certified_recall(detector: Detector, shown: ImageSet, own_clothing: Pattern, threshold: float) -> dict:
+    """Certify the people of images against one patch (`detectors.defended.masks`).
 
     Returns {"certified_recall": share of images in which the answer under every mask has a box on the person above
     `threshold`, "certified_recall_own", "patch": side in pixels}; {} for a detector that is not `masked=...`.
@@ -126,15 +125,10 @@ def certified_recall(detector: Detector, renderer: EvaluationRenderer, threshold
     if not isinstance(masks, Masks):
         return {}
     floor = []  # the best score on each person, the least over all masks
-    for batch in batches(np.arange(len(renderer.trials)), BATCH):
-        views = renderer.views(batch)
-        (images,) = renderer.compose(views, batch, (CLOTHING,))
-        answers = [
-            renderer.about_person(detections, views, batch) for detections in masks.answers(detector.inner, images)
-        ]
-        floor.append(
-            torch.stack([renderer.on_person(detections, views, batch).person for detections in answers]).amin(0)
-        )
+    for batch in batches(np.arange(len(shown.trials)), BATCH):
+        views = shown.views(batch, own_clothing)
+        answers = masks.answers(detector.inner, shown.render(batch, own_clothing))
+        floor.append(torch.stack([shown.judged(answer, views, batch)[1].person for answer in answers]).amin(0))
     kept = [float((torch.cat(floor) > t).double().mean()) for t in (threshold, detector.operating_point)]
     return {"certified_recall": kept[0], "certified_recall_own": kept[1], "patch": masks.patch}
 
@@ -152,11 +146,12 @@ def clean_renders(count: int, size: tuple[int, int]) -> UInt8[Tensor, "B 3 H W"]
     pose = np.arange(count) % bodies.pose_count
     shift = np.zeros((count, 2))
     trials = make_trials(pose, angle, 6, distance, background, shift, outfit)
-    view_cache = ViewCache(bodies, RenderSettings(memory_bytes=0))  # no view comes twice
-    renderer = _clean_renderer(bodies, backgrounds, trials, Camera(height=size[0], width=size[1]), view_cache)
+    camera = Camera(height=size[0], width=size[1])
+    # No view comes twice.
+    images = _clean_images(bodies, backgrounds, trials, camera, RenderSettings(memory_bytes=0))
     renders = torch.zeros(count, 3, *size, dtype=torch.uint8)
     for batch in batches(np.arange(count), BATCH):
-        renders[batch] = as_bytes(render_images(renderer, batch, CLOTHING))
+        renders[batch] = as_bytes(images.render(batch, _own(bodies)))
     return renders
 
 
@@ -165,12 +160,16 @@ def as_bytes(images: Float[Tensor, "*B 3 H W"]) -> UInt8[Tensor, "*B 3 H W"]:
     return (images * 255).round().to(torch.uint8)
 
 
-def _clean_renderer(
-    bodies: Bodies, backgrounds: Backgrounds, trials: pd.DataFrame, camera: Camera, view_cache: ViewCache
-) -> BodyRenderer:
-    """Make a renderer of bodies as they are: one face stands for the logo, in its own colour."""
-    cloaked = Cloaked(bodies.face_colors[0, :1], make_logo(bodies, [0]), bodies, backgrounds)
-    return BodyRenderer(cloaked, trials, viewpoint=camera, view_cache=view_cache)
+def _own(bodies: Bodies) -> OwnClothing:
+    """Wear nothing: one face stands for the logo, in its own colour."""
+    return OwnClothing(Cover(np.zeros(1, np.int64), bodies.topology))
+
+
+def _clean_images(
+    bodies: Bodies, backgrounds: Backgrounds, trials: pd.DataFrame, camera: Camera, render: RenderSettings
+) -> ImageSet:
+    """Make images of bodies as they are."""
+    return body_images(bodies, backgrounds, trials, render, camera, [_own(bodies)])
 
 
 def verify_specs(

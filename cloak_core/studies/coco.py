@@ -15,13 +15,16 @@ import torch
 from jaxtyping import Bool
 
 from cloak_core import __version__
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.cameras import Camera
 from cloak_core.core.evaluation.measure import OnProgress, batches
+from cloak_core.core.images import ImageSet
+from cloak_core.core.paint import body_masks
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.screen import GRID
 from cloak_core.files.writing import new_folder, require_new, write_json
-from cloak_core.studies.body_renderer import BodyRenderer
+from cloak_core.patterns.controls import OwnClothing
 from cloak_core.studies.report.pictures import to_pil
 
 ANNOTATIONS = "annotations.json"
@@ -31,13 +34,15 @@ PERSON = 1
 BATCH = 16
 SAVING = {"jpg": {"quality": 95, "subsampling": 0}, "png": {"optimize": True}}
 """Pillow's options: at this quality JPEG hardly changes what a detector reports."""
-CONTROLS = {CLOTHING: False, LOGO: True}
-"""The two images of a pair, in order, and whether they are cloaked."""
 
 
 @torch.no_grad()
 def export_coco(
-    renderer: BodyRenderer, out: Path, kind: Literal["jpg", "png"] = "jpg", on_progress: OnProgress | None = None
+    shown: ImageSet,
+    pattern: Pattern,
+    out: Path,
+    kind: Literal["jpg", "png"] = "jpg",
+    on_progress: OnProgress | None = None,
 ) -> dict:
     """Write every trial twice into the new folder `out`: `images/` and `annotations.json`. Returns counts.
 
@@ -47,22 +52,21 @@ def export_coco(
     images, annotations = [], []
     with new_folder(out) as folder:
         (folder / IMAGES).mkdir()
-        for batch in batches(np.arange(len(renderer.trials)), BATCH):
-            views = renderer.views(batch)
-            for cloaked, pictures in zip(
-                CONTROLS.values(), renderer.compose(views, batch, tuple(CONTROLS)), strict=True
-            ):
+        for batch in batches(np.arange(len(shown.trials)), BATCH):
+            views = shown.views(batch, pattern)
+            pair = shown.compose(batch, (OwnClothing(pattern.cover), pattern))
+            for cloaked, pictures in zip((False, True), pair, strict=True):
                 for trial, view, picture in zip(batch, views, pictures, strict=True):
-                    image = _image(renderer, int(trial), cloaked, kind)
+                    image = _image(shown, int(trial), cloaked, kind)
                     save_picture(folder / IMAGES / image["file_name"], to_pil(picture), **SAVING[kind])
                     images.append(image)
-                    annotations += _annotations(renderer, int(trial), view, image)
+                    annotations += _annotations(shown, int(trial), view, image)
             if on_progress:
-                on_progress(len(images), 2 * len(renderer.trials))
+                on_progress(len(images), 2 * len(shown.trials))
         for number, annotation in enumerate(annotations, 1):
             annotation["id"] = number
         write_json(folder / ANNOTATIONS, _header() | {"images": images, "annotations": annotations})
-    counts = {"images": len(images), "annotations": len(annotations), "cloaked": len(renderer.trials)}
+    counts = {"images": len(images), "annotations": len(annotations), "cloaked": len(shown.trials)}
     return {"out": str(out), "file": str(out / ANNOTATIONS)} | counts
 
 
@@ -72,9 +76,9 @@ def _header() -> dict:
     return {"info": info, "licenses": [], "categories": [category]}
 
 
-def _image(renderer: BodyRenderer, trial: int, cloaked: bool, kind: str) -> dict:
-    camera = renderer.camera(trial)
-    trials = renderer.trials
+def _image(shown: ImageSet, trial: int, cloaked: bool, kind: str) -> dict:
+    trials = shown.trials
+    camera = _camera(shown, trial)
     where = {"distance": camera.distance, "azimuth": camera.azimuth, "elevation": camera.elevation}
     return {
         "id": 2 * trial + cloaked + 1,
@@ -85,20 +89,25 @@ def _image(renderer: BodyRenderer, trial: int, cloaked: bool, kind: str) -> dict
         "cloaked": cloaked,
         "camera": {name: round(float(value), 4) for name, value in where.items()}
         | {"field_of_view": float(camera.field_of_view)},
-        "background": renderer.background_names[trials.at[trial, "background"]],
+        "background": shown.background_names[trials.at[trial, "background"]],
     }
 
 
-def _annotations(renderer: BodyRenderer, trial: int, view: BakedView, image: dict) -> Iterator[dict]:
+def _camera(shown: ImageSet, trial: int) -> Camera:
+    row = shown.trials.iloc[trial]
+    return shown.source.camera({**row, "azimuth": row["angle"]})
+
+
+def _annotations(shown: ImageSet, trial: int, view: BakedView, image: dict) -> Iterator[dict]:
     """Yield the body's annotation, without its id; none where nothing of it is in the image."""
-    mask = _mask(renderer, trial, view)
-    trials = renderer.trials
+    mask = body_masks([view], shown.shifts([trial]))[0].cpu().numpy()
+    trials = shown.trials
     if not mask.any():
         return
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     x, y = int(columns[0]), int(rows[0])
     box = [x, y, int(columns[-1]) - x + 1, int(rows[-1]) - y + 1]
-    whole = _whole_box(renderer, trial) or box
+    whole = _whole_box(shown, trial) or box
     yield {
         "image_id": image["id"],
         "category_id": PERSON,
@@ -109,7 +118,7 @@ def _annotations(renderer: BodyRenderer, trial: int, view: BakedView, image: dic
         "segmentation": {"size": [view.height, view.width], "counts": run_lengths(mask)},
         "attributes": {
             "cloaked": image["cloaked"],
-            "body": renderer.body_names[trials.at[trial, "pose"]],
+            "body": shown.body_names[trials.at[trial, "pose"]],
             "pose": int(trials.at[trial, "pose"]),
             "outfit": int(trials.at[trial, "outfit"]),
             "visible": round(min(1.0, box[2] * box[3] / max(whole[2] * whole[3], 1e-9)), 4),
@@ -117,23 +126,13 @@ def _annotations(renderer: BodyRenderer, trial: int, view: BakedView, image: dic
     }
 
 
-def _mask(renderer: BodyRenderer, trial: int, view: BakedView) -> Bool[np.ndarray, "h w"]:
-    """Mark the pixels that the body covers by at least half, moved as the trial says."""
-    pixels = view.pixels[view.coverage >= 0.5].cpu().numpy()
-    dx, dy = renderer.shifts([trial])[0].tolist()
-    y, x = pixels // view.width + dy, pixels % view.width + dx
-    kept = (x >= 0) & (x < view.width) & (y >= 0) & (y < view.height)
-    mask = np.zeros((view.height, view.width), bool)
-    mask[y[kept], x[kept]] = True
-    return mask
-
-
-def _whole_box(renderer: BodyRenderer, trial: int) -> list[float] | None:
+def _whole_box(shown: ImageSet, trial: int) -> list[float] | None:
     """Compute [x, y, width, height] of the whole body, also beyond the image; None where it passes the camera."""
-    screen = renderer.view_cache.screen([(int(renderer.trials.at[trial, "pose"]), renderer.camera(trial))])
+    views = shown.source.views_for(shown.source.on_cloth)
+    screen = views.screen([(int(shown.trials.at[trial, "pose"]), _camera(shown, trial))])
     if screen.in_guard_band is not None and not bool(screen.in_guard_band.all()):
         return None
-    dx, dy = renderer.shifts([trial])[0].tolist()
+    dx, dy = shown.shifts([trial])[0].tolist()
     x, y = screen.x[0].double() / GRID + dx, screen.y[0].double() / GRID + dy
     sides = (x.min(), y.min(), x.max() - x.min(), y.max() - y.min())
     return [round(float(value), 2) for value in sides]

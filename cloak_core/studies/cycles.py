@@ -10,8 +10,8 @@ from __future__ import annotations
 import itertools
 import os
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,13 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from cloak_core.core.evaluation.controls import LOGO, control_colors, random_colors
+from cloak_core.core.cameras import Camera
+from cloak_core.core.evaluate import Patterns
+from cloak_core.core.evaluation.controls import LOGO
 from cloak_core.core.evaluation.measure import OnProgress
-from cloak_core.core.evaluation.renderer import Indices
+from cloak_core.core.images import ImageSet, Indices
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import read_picture
-from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.normals import NormalOperator
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -32,7 +34,7 @@ from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
 from cloak_core.sources.bodies.blender.outside import ROOT, bpy_version, find_bpy
-from cloak_core.studies.body_renderer import BodyRenderer
+from cloak_core.studies.imagery import before_grey
 
 SCRIPT = ROOT / "tools" / "cycles_frames.py"
 LIGHTS = ("matching", "studio", "sky")
@@ -65,50 +67,51 @@ def first_trials(trials: pd.DataFrame) -> dict[tuple[int, float], int]:
 
 
 def in_cycles(
-    renderer: BodyRenderer, controls: Sequence[str], out: Path, light: str, on_progress: OnProgress | None
-) -> CyclesRenderer:
+    images: ImageSet, patterns: Patterns, out: Path, light: str, on_progress: OnProgress | None
+) -> CyclesImages:
     """Render the trials in one light of Cycles, in the first outfit; frames are kept in a folder in `out`."""
     require_blender()
     # Every other outfit would need frames of its own.
-    renderer.trials = renderer.trials.assign(outfit=0)
+    images = replace(images, trials=images.trials.assign(outfit=0))
     done = itertools.count(1)
-    frames = len(first_trials(renderer.trials)) * len(controls)
+    frames = len(first_trials(images.trials)) * len(patterns)
 
     def on_frame(_: str) -> None:
         if on_progress:
             on_progress(next(done), frames)
 
-    return CyclesRenderer(renderer, render_frames(renderer, controls, out, SAMPLES, on_frame, (light,)), light)
+    return CyclesImages.of(images, patterns, render_frames(images, patterns, out, SAMPLES, on_frame, (light,)), light)
 
 
 def render_frames(
-    renderer: BodyRenderer,
-    controls: Sequence[str],
+    images: ImageSet,
+    patterns: Patterns,
     out: Path,
     samples: int,
     on_frame: OnFrame,
     lights: Sequence[str] = LIGHTS,
 ) -> Path:
-    """Render every pose and angle of the trials in every colouring and light; return the frames' folder.
+    """Render every pose and angle of the trials in every pattern and light; return the frames' folder.
 
     The folder OUT/HASH is named by what decides the pixels, so frames are rendered once, and a job that was stopped
     goes on. The first outfit is worn throughout, and "random" has one draw.
     """
     python = require_blender()
-    colors = np.stack([_triangle_colors(renderer, control) for control in controls])
+    colors = np.stack([_triangle_colors(images, pattern) for pattern in patterns.values()])
+    camera = _camera(images, 0)
     job = {
-        "size": renderer.camera(0).height,
+        "size": camera.height,
         "samples": samples,
-        "near": renderer.camera(0).near_plane,
-        "far": 100 * renderer.camera(0).distance,
+        "near": camera.near_plane,
+        "far": 100 * camera.distance,
         "frames": [
-            {"file": file_name(light, *place, control), "colors": number, "light": light} | _view(renderer, trial)
+            {"file": file_name(light, *place, name), "colors": number, "light": light} | _view(images, trial)
             for light in lights
-            for place, trial in first_trials(renderer.trials).items()
-            for number, control in enumerate(controls)
+            for place, trial in first_trials(images.trials).items()
+            for number, name in enumerate(patterns)
         ],
     }
-    bodies = renderer.cloaked.bodies
+    bodies = images.source.bodies
     normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
     mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
     content = [sha256_arrays(*mesh.values()), job, source_hash(SCRIPT), bpy_version(python)]
@@ -144,10 +147,15 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
         raise RuntimeError(f"Blender ended with exit code {code} before {missing[0]} was rendered:\n{tail}")
 
 
-def _view(renderer: BodyRenderer, trial: int) -> dict:
-    camera = renderer.camera(trial)
-    pose = int(renderer.trials.at[trial, "pose"])
-    vertices = renderer.cloaked.bodies.vertices[pose].astype(np.float64)
+def _camera(images: ImageSet, trial: int) -> Camera:
+    row = images.trials.iloc[trial]
+    return images.source.camera({**row, "azimuth": row["angle"]})
+
+
+def _view(images: ImageSet, trial: int) -> dict:
+    camera = _camera(images, trial)
+    pose = int(images.trials.at[trial, "pose"])
+    vertices = images.source.bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
     return {
         "pose": pose,
@@ -162,14 +170,12 @@ def file_name(light: str, pose: int, angle: float, control: str) -> str:
     return f"{light}-{pose}-{angle:+g}-{control}.png"
 
 
-def _triangle_colors(renderer: BodyRenderer, control: str) -> Float32[np.ndarray, "T 3"]:
-    """Look up the colours of all triangles, the logo's faces coloured as `control` says, in the first outfit."""
-    bodies, ids = renderer.cloaked.bodies, renderer.cloaked.logo.face_ids
+def _triangle_colors(images: ImageSet, pattern: Pattern) -> Float32[np.ndarray, "T 3"]:
+    """Look up the colours of all triangles, the first outfit's where the pattern is not worn."""
+    bodies, ids = images.source.bodies, pattern.cover.face_ids
     faces = bodies.face_colors[0].copy()
-    if control == "random":
-        faces[ids] = random_colors(renderer.seed, 0, len(ids))
-    else:
-        faces[ids] = control_colors(control, renderer.cloaked.colors, bodies, ids)[0]
+    (view,) = images.views([0], pattern)
+    faces[ids] = pattern.on_faces(pattern.colors_in(view, 0).cpu().numpy())
     return faces[bodies.triangle_face]
 
 
@@ -180,34 +186,49 @@ def _normals(bodies: Bodies, pose: int) -> Float32[np.ndarray, "V 3"]:
     return operator(torch.from_numpy(vertices)).T.contiguous().numpy()
 
 
-class CyclesRenderer(BodyRenderer):
-    """Render trials from frames of `render_frames` under one light."""
+@dataclass(eq=False)
+class CyclesImages(ImageSet):
+    """Images of trials from frames of `render_frames` under one light."""
 
-    def __init__(self, renderer: BodyRenderer, folder: Path, light: str) -> None:
-        super().__init__(**{field.name: getattr(renderer, field.name) for field in fields(BodyRenderer)})
-        self._folder = folder
-        self._light = light
-        self._bodies: dict[tuple[int, float, str], Tensor] = {}
+    folder: Path = Path()
+    light: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+    """Of the patterns, by their identity."""
 
-    def compose(
-        self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]
-    ) -> Iterator[Float[Tensor, "B 3 H W"]]:
-        """Yield the images of these trials under each control; `views` are not used."""
-        behind = self.backgrounds(indices)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._frames: dict[tuple[int, float, str], Tensor] = {}
+
+    @classmethod
+    def of(cls, images: ImageSet, patterns: Patterns, folder: Path, light: str) -> CyclesImages:
+        """Take frames for the images of bodies."""
+        own = {each.name: getattr(images, each.name) for each in fields(ImageSet)}
+        names = {pattern.identity: name for name, pattern in patterns.items()}
+        return cls(**own, folder=folder, light=light, names=names)
+
+    @property
+    def identity(self) -> str:
+        """See `ImageSet`: the folder is named by what decides its frames."""
+        return sha256_record([super().identity, self.folder.name, self.light])
+
+    def compose(self, indices: Indices, patterns: Sequence[Pattern]) -> Iterator[Float[Tensor, "B 3 H W"]]:
+        """See `ImageSet`."""
+        rows = self.trials.iloc[np.asarray(indices, np.int64)]
+        behind = self.bare(rows["background"])
         shifts = self.shifts(indices).tolist()
-        seen = [(int(self.trials.at[i, "pose"]), float(self.trials.at[i, "angle"])) for i in map(int, indices)]
-        for control in controls:
-            bodies = (_shifted(self.body(*at, control), *shift) for at, shift in zip(seen, shifts, strict=True))
-            images = [b[:3] * b[3:] + back * (1 - b[3:]) for b, back in zip(bodies, behind, strict=True)]
-            yield torch.stack(images)
+        for pattern in patterns:
+            name = self.names[pattern.identity]
+            seen = zip(rows["pose"].tolist(), map(float, rows["angle"]), shifts, strict=True)
+            bodies = (_shifted(self.body(pose, angle, name), *shift) for pose, angle, shift in seen)
+            yield torch.stack([b[:3] * b[3:] + back * (1 - b[3:]) for b, back in zip(bodies, behind, strict=True)])
 
-    def body(self, pose: int, angle: float, control: str = LOGO) -> Float[Tensor, "4 H W"]:
+    def body(self, pose: int, angle: float, name: str = LOGO) -> Float[Tensor, "4 H W"]:
         """Read one frame: RGBA in [0, 1], straight alpha."""
-        key = (pose, angle, control)
-        if key not in self._bodies:
-            pixels = read_picture(self._folder / file_name(self._light, *key), "RGBA")
-            self._bodies[key] = torch.from_numpy(pixels).permute(2, 0, 1).contiguous()
-        return self._bodies[key].to(self._device).float() / 255
+        key = (pose, angle, name)
+        if key not in self._frames:
+            pixels = read_picture(self.folder / file_name(self.light, *key), "RGBA")
+            self._frames[key] = torch.from_numpy(pixels).permute(2, 0, 1).contiguous()
+        return self._frames[key].to(self.device).float() / 255
 
 
 def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tensor, "4 H W"]:
@@ -220,7 +241,7 @@ def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tenso
     return moved
 
 
-def image_difference(ours: BodyRenderer, cycles: CyclesRenderer) -> dict[str, float]:
+def image_difference(ours: ImageSet, cycles: CyclesImages, pattern: Pattern) -> dict[str, float]:
     """Compare images of the cloaked bodies, averaged over poses and angles, before mid-grey, in display colours [0, 1].
 
     "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both
@@ -228,7 +249,7 @@ def image_difference(ours: BodyRenderer, cycles: CyclesRenderer) -> dict[str, fl
     """
     either, both = [], []
     for (pose, angle), trial in first_trials(ours.trials).items():
-        image, covered = ours.before_grey(ours.views([trial])[0], trial, LOGO)
+        image, covered = before_grey(ours, trial, pattern)
         frame = cycles.body(pose, angle)
         theirs = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:])
         alpha = frame[3].flatten()

@@ -13,112 +13,169 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.evaluate import content_hash, headline, measure_and_count
-from cloak_core.core.evaluation.measure import OnProgress, all_controls, check_asked
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
+from cloak_core.core.evaluate import Patterns, headline, identity
+from cloak_core.core.evaluate import evaluate as measure
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO, RESAMPLED
+from cloak_core.core.evaluation.measure import OnProgress, check_asked
 from cloak_core.core.evaluation.results import Results, read_results
-from cloak_core.core.evaluation.settings import EvaluateSettings
-from cloak_core.core.evaluation.trials import draw_trials
+from cloak_core.core.evaluation.settings import EvaluateSettings, WearSettings
 from cloak_core.core.events import read_events
-from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.core.images import ImageSet
+from cloak_core.core.pattern import Pattern
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
-from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
+from cloak_core.patterns.controls import controls
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import fit_people, those_who_fit
+from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.people import People
 from cloak_core.studies.cycles import in_cycles
 from cloak_core.studies.film import write_turntable
-from cloak_core.studies.report.pictures import write_pictures
+from cloak_core.studies.imagery import drawn_images, flat_views, people_images
+from cloak_core.studies.report.pictures import write_flat, write_pictures
 from cloak_core.studies.report.plots import success_over_time
 from cloak_core.studies.report.stored import check_stored
 from cloak_core.studies.report.style import save_figure, style
-from cloak_core.studies.trained_run import seen_in_training, trained_against
+from cloak_core.studies.trained_run import photographs_seen_in_training, seen_in_training, trained_against
 
 _log = logging.getLogger("cloak")
 
 
-def evaluate(
-    cloaked: Cloaked,
-    detectors: dict[str, Detector],
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is evaluated: images, what is worn in them, and what is known of it."""
+
+    images: ImageSet
+    patterns: Patterns
+    circumstances: dict
+    """Keys of the summary: settings, inputs, unseen, white_box, warnings."""
+    draw_more: Callable[[Path, int, Mapping[str, Detector], float], dict] = lambda *_: {}
+    """Draws further pictures into a folder, of a trial, with what detectors report above a threshold."""
+
+
+def show_bodies(
+    pattern: Pattern,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    detectors: Mapping[str, Detector],
     angles: Sequence[float],
-    settings: EvaluateSettings | None = None,
-    *,
+    settings: EvaluateSettings,
     training: dict | None = None,
+) -> Shown:
+    """Make what is evaluated of a pattern on bodies. angles: azimuths, degrees.
+
+    `training` tells what the colours were trained on (a run's config.json) and fills `unseen` and `white_box` (by
+    detector, whether it was trained against). InputError: nobody to judge it, or the pattern is another mesh's.
+    """
+    check_asked(detectors, angles)
+    device = next(iter(detectors.values())).device
+    names = dict.fromkeys((CLOTHING, *settings.controls))
+    patterns = {LOGO: pattern} | controls(tuple(names), pattern, settings.seed, bodies)
+    images = drawn_images(bodies, backgrounds, angles, settings, device, patterns.values())
+    unseen, warnings = seen_in_training(training, bodies, backgrounds)
+    inputs = {
+        "bodies": list(images.body_names),
+        "scene": bodies.name,
+        "topology": bodies.topology,
+        "backgrounds": len(backgrounds),
+        "logo_faces": len(pattern.cover),
+        "pattern": pattern.identity,
+    }
+    circumstances = {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
+    circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
+
+    def draw_more(folder: Path, trial: int, detectors: Mapping[str, Detector], threshold: float) -> dict:
+        flat = flat_views(bodies, pattern, device=device)
+        shown = {"flat": {side: write_flat(folder, side, rgba) for side, rgba in flat.items()}}
+        turntable = folder / "turntable.gif"
+        if settings.cycles is None and write_turntable(turntable, images, patterns, trial, detectors, threshold):
+            shown["turntable"] = turntable.name
+        return shown
+
+    return Shown(images, patterns, circumstances, draw_more)
+
+
+PEOPLE_SETTINGS = ("size", "threshold", "bare", "resamples", "batch", "seed")
+"""The evaluation settings that decide figures of photographs."""
+
+
+def show_people(
+    pattern: Pattern,
+    people: People,
+    backgrounds: Backgrounds,
+    detectors: Mapping[str, Detector],
+    settings: EvaluateSettings,
+    training: dict | None = None,
+) -> Shown:
+    """Make what is evaluated of a pattern on people in photographs; see `show_bodies`.
+
+    Beside C6's keys the summary has people, photographs, left_out, and fit (means over the people's fits).
+    """
+    check_asked(detectors)
+    fits, framing = fit_people(people), WearSettings(size=settings.size)
+    # What dressing alone does is among the controls.
+    names = dict.fromkeys((CLOTHING, *settings.controls, *([RESAMPLED] if settings.controls else [])))
+    patterns = {LOGO: pattern} | controls(tuple(names), pattern, settings.seed)
+    images = people_images(fits, backgrounds, framing, next(iter(detectors.values())).device)
+    unseen, warnings = photographs_seen_in_training(training, people)
+    shown = those_who_fit(people, fits)
+    counts = {"people": len(shown), "photographs": len(shown.photographs)}
+    circumstances = counts | {
+        "left_out": shown.left_out,
+        "fit": mean_quality(fits),
+        "settings": {key: getattr(settings, key) for key in PEOPLE_SETTINGS}
+        | {"context": framing.context, "controls": list(names)},
+        "inputs": counts | {"backgrounds": len(backgrounds)},
+        "unseen": unseen,
+        "white_box": trained_against(training, detectors),
+        "warnings": warnings,
+    }
+    return Shown(images, patterns, circumstances, lambda *_: {"flat": {}})
+
+
+def mean_quality(fits: Sequence[Fit]) -> dict[str, float]:
+    """Average the quality of people's fits."""
+    qualities = [fit.quality for fit in fits]
+    return {key: round(float(np.mean([one[key] for one in qualities])), 4) for key in sorted(qualities[0])}
+
+
+def evaluate(
+    shown: Shown,
+    detectors: dict[str, Detector],
+    settings: EvaluateSettings,
+    *,
     out: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> dict:
     """Measure attack success as contract C6 puts it, with every control on the same images.
 
-    `training` tells what the colours were trained on (a run's config.json) and fills `unseen` and `white_box` (by
-    detector, whether it was trained against). `operating_points` are the detectors' own thresholds, by spec;
-    `operating_points_assumed` lists detectors with the usual threshold of their family, where nobody said one. `out` is
-    a folder that takes the raw scores, pictures and the summary (replacing an earlier evaluation's).
-    InputError: nothing to judge or nobody to judge it, a folder of something else.
+    `operating_points` are the detectors' own thresholds, by spec; `operating_points_assumed` lists detectors with the
+    usual threshold of their family, where nobody said one. `out` is a folder that takes the raw scores, pictures and
+    the summary. Where it holds an evaluation of the same content, its summary is returned; any other one is replaced.
+    InputError: a folder of something else.
     """
-    settings = settings or EvaluateSettings()
-    check_asked(detectors, angles)
+    for warning in shown.circumstances["warnings"]:
+        _log.warning("%s", warning)
+    images = shown.images
     if out is not None:
         check_folder(out)
-    shown = [cloaked.bodies.identity, sha256_arrays(cloaked.logo.face_ids), cloaked.backgrounds.identities()]
-    unseen, warnings = seen_in_training(training, cloaked.bodies, cloaked.backgrounds)
-    for warning in warnings:
-        _log.warning("%s", warning)
-    renderer = make_renderer(cloaked, angles, settings, next(iter(detectors.values())).device)
     if settings.cycles is not None:
         if out is None:
             raise InputError("--cycles: frames are kept beside the evaluation: say where it goes (--out)")
-        frames = out.with_name("cycles")
-        renderer = in_cycles(renderer, all_controls(settings), frames, settings.cycles, on_progress)
-    inputs = {
-        "bodies": list(renderer.body_names),
-        "scene": cloaked.bodies.name,
-        "topology": cloaked.bodies.topology,
-        "backgrounds": len(cloaked.backgrounds),
-        "logo_faces": len(cloaked.logo.face_ids),
-        "colors": sha256_arrays(cloaked.colors),
-    }
-    if cloaked.cloth is not None:
-        inputs["cloth"] = sha256_arrays(cloaked.cloth.colors, np.array(cloaked.cloth.cloth.metres))
-    if settings.cycles is None:  # nobody knows what decides Blender's frames
-        inputs["identity"] = sha256_record(shown)
-    circumstances = {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
-    circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
-    return evaluate_renderer(renderer, detectors, settings, circumstances, out=out, on_progress=on_progress)
-
-
-def evaluate_renderer(
-    renderer: EvaluationRenderer,
-    detectors: dict[str, Detector],
-    settings: EvaluateSettings,
-    circumstances: Mapping[str, object],
-    *,
-    controls: Sequence[str] | None = None,
-    out: Path | None = None,
-    on_progress: OnProgress | None = None,
-) -> dict:
-    """Measure the renderer's trials and count: `summarize`, `detector_facts` and the circumstances in one record.
-
-    circumstances: more keys of the summary; `settings` and `inputs` (which gets the detectors' hashes) are among them.
-    controls: see `measure_frozen`. Where `out` holds an evaluation of the same content, its summary is returned; any
-    other one is replaced.
-    """
-    content = content_hash(detectors, circumstances)
+        images = in_cycles(images, shown.patterns, out.with_name("cycles"), settings.cycles, on_progress)
     if out is not None and (out / "summary.json").exists():
-        summary = _finished(out, content)
+        summary = _finished(out, identity(images, shown.patterns, detectors, settings))
         if summary is not None:
             _log.warning("%s: holds this very evaluation already: nothing is measured again", out)
             return summary
         _log.warning("%s: holds an evaluation already, which this one replaces (--out DIR keeps both)", out)
-    summary, results = measure_and_count(renderer, detectors, settings, circumstances, controls, on_progress)
-    if content:
-        summary["inputs"] |= {"content": content}
+    summary, results = measure(images, shown.patterns, detectors, settings, shown.circumstances, on_progress)
     if out is not None:
-        write_evaluation(out, summary, results, renderer, detectors)
+        write_evaluation(out, summary, results, replace(shown, images=images), detectors)
     return summary
 
 
@@ -132,21 +189,10 @@ def _finished(folder: Path, content: str | None) -> dict | None:
     return summary if content and isinstance(kept, dict) and kept.get("content") == content else None
 
 
-def make_renderer(
-    cloaked: Cloaked, angles: Sequence[float], settings: EvaluateSettings, device: torch.device | str = "cpu"
-) -> BodyRenderer:
-    """Draw the trials and make ready to render them."""
-    bodies = cloaked.bodies
-    trials = draw_trials(bodies.pose_count, angles, len(cloaked.backgrounds), bodies.outfit_count, settings)
-    render = RenderSettings.of(settings, device=device)
-    view_cache = ViewCache(bodies, render, on_cloth=cloaked.cloth is not None)
-    return BodyRenderer(cloaked, trials, settings.camera, view_cache, settings.seed)
-
-
 # --- the folder of an evaluation
 
-FOLDER = "evaluation"
-"""Name of the folder inside a run."""
+FOLDER, PEOPLE_FOLDER = "evaluation", "evaluation-people"
+"""Names of the folders inside a run: of bodies, and of people in photographs."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +234,7 @@ def read_evaluation(folder: Path) -> StoredEvaluation:
 
 
 def write_evaluation(
-    folder: Path, summary: dict, results: Results, renderer: EvaluationRenderer, detectors: dict[str, Detector]
+    folder: Path, summary: dict, results: Results, shown: Shown, detectors: dict[str, Detector]
 ) -> None:
     """Write everything at once; an earlier evaluation there is replaced when the new one is complete."""
     folder = check_folder(folder)
@@ -197,12 +243,10 @@ def write_evaluation(
     with new_folder(fresh) as temporary:
         (temporary / "pictures").mkdir()
         threshold = summary["settings"]["threshold"]
-        shown = write_pictures(temporary / "pictures", renderer, results, detectors, threshold)
-        turntable, trial = temporary / "pictures/turntable.gif", shown["controls"]["trial"]
-        ours = type(renderer) is BodyRenderer  # a turntable is our render, of a body
-        if ours and write_turntable(turntable, renderer, trial, detectors, threshold, len(results.controls)):
-            shown["turntable"] = turntable.name
-        write_json(temporary / "pictures.json", shown)
+        place = temporary / "pictures"
+        pictures = write_pictures(place, shown.images, shown.patterns, results, detectors, threshold)
+        pictures |= shown.draw_more(place, pictures["controls"]["trial"], detectors, threshold)
+        write_json(temporary / "pictures.json", pictures)
         results.save(temporary / "scores.npz")
         write_json(temporary / "summary.json", summary)
     # Renames only: a reader never meets half of an evaluation, and a crash in between loses none.

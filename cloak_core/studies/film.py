@@ -13,23 +13,25 @@ from jaxtyping import Float32
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluate import Patterns
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.measure import OnProgress, check_asked, kept_frozen, measure
 from cloak_core.core.evaluation.settings import MOST_FRAMES, FilmSettings
 from cloak_core.core.evaluation.trials import make_trials
+from cloak_core.core.images import ImageSet
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import number, read_table
 from cloak_core.files.writing import write_json
+from cloak_core.patterns.controls import OwnClothing
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.videos import check_film, save_film, save_gif
-from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
 from cloak_core.studies.film_frames import draw_frames
+from cloak_core.studies.imagery import body_images
 from cloak_core.studies.statistics_film import frame_rows, summarize_film
 
-CONTROLS = (LOGO, CLOTHING)
-"""What is filmed side by side."""
 VIEW_BYTES = 1 << 30
 """Memory for views between measuring a film and drawing it."""
 TURNTABLE_FRAMES, LEAST_FRAMES = 24, 8
@@ -52,7 +54,9 @@ def usual_pace(vertices: Float32[np.ndarray, "P V 3"], fps: float) -> float:
 
 
 def make_film(
-    cloaked: Cloaked,
+    pattern: Pattern,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
     detectors: dict[str, Detector],
     out: Path,
     settings: FilmSettings | None = None,
@@ -65,17 +69,17 @@ def make_film(
     InputError: as for `evaluate`, and what `camera_path` and `save_film` refuse.
     """
     settings = settings or FilmSettings()
-    bodies = cloaked.bodies
     if settings.poses_per_second is None:
         settings = replace(settings, poses_per_second=usual_pace(bodies.vertices, settings.fps))
     kind = check_film(out)
     check_asked(detectors, settings.angles)
     path = camera_path(settings, bodies.pose_count)
-    renderer = film_renderer(cloaked, path, settings, next(iter(detectors.values())).device)
+    patterns = {LOGO: pattern, CLOTHING: OwnClothing(pattern.cover)}
+    images = film_images(bodies, backgrounds, path, settings, patterns, next(iter(detectors.values())).device)
     with kept_frozen(detectors) as hashes:
-        results = measure(renderer, detectors, CONTROLS, batch=settings.batch, on_progress=on_progress)
+        results = measure(images, patterns, detectors, batch=settings.batch, on_progress=on_progress)
     summary = summarize_film(results, settings, approaches(path)) | {"out": str(out)}
-    save_film(out, draw_frames(renderer, results, settings), settings.fps)
+    save_film(out, draw_frames(images, patterns, results, settings), settings.fps)
     numbers = out / "film.json" if kind == "folder" else out.with_suffix(".json")
     inputs = {"scene": bodies.name, "topology": bodies.topology, "detector_hashes": hashes}
     plain = asdict(settings) | {"angles": list(settings.angles)}
@@ -84,22 +88,25 @@ def make_film(
     return summary | {"numbers": str(numbers)}
 
 
-def film_renderer(
-    cloaked: Cloaked, path: pd.DataFrame, settings: FilmSettings, device: torch.device | str = "cpu"
-) -> BodyRenderer:
-    """Make the renderer of all takes' frames; the camera looks at the motion's middle, or follows each pose."""
-    bodies = cloaked.bodies
+def film_images(
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    path: pd.DataFrame,
+    settings: FilmSettings,
+    patterns: Patterns,
+    device: torch.device | str = "cpu",
+) -> ImageSet:
+    """Make the images of all takes' frames; the camera looks at the motion's middle, or follows each pose."""
     if settings.outfit >= bodies.outfit_count:
         raise InputError(f"--outfit: there is no outfit {settings.outfit}, the scene has {bodies.outfit_count}")
-    trials = film_trials(path, settings, bodies.pose_count, len(cloaked.backgrounds), bodies.outfit_count)
+    trials = film_trials(path, settings, bodies.pose_count, len(backgrounds), bodies.outfit_count)
     viewpoint = Camera(field_of_view=settings.field_of_view, width=settings.size, height=settings.size)
     if not settings.follow:
         middles = (bodies.vertices.min(1).astype(np.float64) + bodies.vertices.max(1)) / 2
         viewpoint = replace(viewpoint, pivot=tuple(middles.mean(0).tolist()))
     # Nothing else can use a film's views, so none is written to files.
     render = RenderSettings.of(settings, device=device, memory_bytes=VIEW_BYTES)
-    view_cache = ViewCache(bodies, render, on_cloth=cloaked.cloth is not None)
-    return BodyRenderer(cloaked, trials, viewpoint, view_cache)
+    return body_images(bodies, backgrounds, trials, render, viewpoint, patterns.values())
 
 
 def film_trials(path: pd.DataFrame, settings: FilmSettings, poses: int, backgrounds: int, outfits: int) -> pd.DataFrame:
@@ -119,18 +126,22 @@ def film_trials(path: pd.DataFrame, settings: FilmSettings, poses: int, backgrou
 
 
 def write_turntable(
-    path: Path, renderer: BodyRenderer, trial: int, detectors: dict[str, Detector], threshold: float, controls: int
+    path: Path,
+    images: ImageSet,
+    patterns: Patterns,
+    trial: int,
+    detectors: dict[str, Detector],
+    threshold: float,
 ) -> bool:
     """Write a GIF of one trial's body turning, in own clothing and cloaked, with what every detector reports.
 
-    controls: how many patterns the evaluation looked at. Returns whether there is one: a small evaluation would spend
-    more on it than on itself.
+    images: of bodies; patterns: all that the evaluation looked at. Returns whether there is one: a small evaluation
+    would spend more on it than on itself.
     """
-    frames = min(TURNTABLE_FRAMES, len(renderer.trials) * controls // (2 * TURNTABLE_SHARE))
+    frames = min(TURNTABLE_FRAMES, len(images.trials) * len(patterns) // (2 * TURNTABLE_SHARE))
     if frames < LEAST_FRAMES:
         return False
-    view = renderer.viewpoint
-    shown = renderer.trials.iloc[trial]
+    view, shown = images.source.viewpoint, images.trials.iloc[trial]
     settings = FilmSettings(
         camera="orbit",
         elevation=float(view.elevation),
@@ -142,12 +153,12 @@ def write_turntable(
         outfit=int(shown["outfit"]),
         threshold=threshold,
     )
-    worn = renderer.cloaked
-    body = worn.bodies.select_poses([int(shown["pose"])])
-    alone = replace(worn, bodies=body, backgrounds=worn.backgrounds.subset([int(shown["background"])]))
-    turning = film_renderer(alone, camera_path(settings, 1), settings, renderer.view_cache.device)
-    results = measure(turning, detectors, CONTROLS, batch=settings.batch)
-    save_gif(path, list(draw_frames(turning, results, settings)), TURNTABLE_FPS)
+    body = images.source.bodies.select_poses([int(shown["pose"])])
+    backgrounds = images.backgrounds.subset([int(shown["background"])])
+    patterns = {name: patterns[name] for name in (LOGO, CLOTHING)}
+    turning = film_images(body, backgrounds, camera_path(settings, 1), settings, patterns, images.device)
+    results = measure(turning, patterns, detectors, batch=settings.batch)
+    save_gif(path, list(draw_frames(turning, patterns, results, settings)), TURNTABLE_FPS)
     return True
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache, partial
 
 import numpy as np
@@ -10,10 +10,11 @@ from PIL import Image, ImageDraw
 
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.measure import batches
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.settings import FilmSettings
 from cloak_core.core.evaluation.statistics import operating_point
+from cloak_core.core.images import ImageSet
+from cloak_core.core.pattern import Pattern
 from cloak_core.studies.report.pictures import PAPER, SOFT, font, to_pil
 from cloak_core.studies.report.style import FAINT, INK, SERIES
 from cloak_core.studies.report.words import short_name
@@ -27,15 +28,16 @@ VERDICTS = ("not found", "only at its own threshold", "found")
 _font = lru_cache(maxsize=None)(font)
 
 
-def draw_frames(renderer: EvaluationRenderer, results: Results, settings: FilmSettings) -> Iterator[Image.Image]:
+def draw_frames(
+    images: ImageSet, patterns: Mapping[str, Pattern], results: Results, settings: FilmSettings
+) -> Iterator[Image.Image]:
     """Render the first take once more and draw its frames, one after the other."""
     drawing = _Drawing(results, settings)
     for batch in batches(np.arange(drawing.count), settings.batch):
-        views = renderer.views(batch)
-        images = zip(SIDES, renderer.compose(views, batch, SIDES), strict=True)
-        shown = {control: [to_pil(image) for image in made] for control, made in images}
+        made = zip(SIDES, images.compose(batch, [patterns[side] for side in SIDES]), strict=True)
+        shown = {side: [to_pil(image) for image in rendered] for side, rendered in made}
         for k, index in enumerate(map(int, batch)):
-            yield drawing.frame(index, {control: pictures[k] for control, pictures in shown.items()})
+            yield drawing.frame(index, {side: pictures[k] for side, pictures in shown.items()})
 
 
 class _Drawing:

@@ -13,23 +13,26 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.core.baking import on_cloth
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.controls import CLOTHING
-from cloak_core.core.logo import load_logo
-from cloak_core.core.paint import compose
+from cloak_core.core.images import ImageSet, dressed
+from cloak_core.core.logo import Cover, load_logo
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.settings.values import from_plain
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json, written
+from cloak_core.patterns.controls import OwnClothing
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.printed_cloth import cloth_of_run
+from cloak_core.sources.bodies.source import BodySource
+from cloak_core.studies.opening import run_pattern
 from cloak_core.studies.report.pictures import reported, to_pil
 
 ANSWER = "look.json"
@@ -96,7 +99,7 @@ class Looker:
     def __init__(self, detectors: Mapping[str, Detector]) -> None:
         self._detectors = detectors
         self._device = next(iter(detectors.values())).device
-        self._scene: tuple[object, Bodies, ViewCache] | None = None
+        self._scene: tuple[object, Bodies, BodySource] | None = None
         self._backdrops: tuple[str, Backgrounds] | None = None
 
     @torch.no_grad()
@@ -126,38 +129,45 @@ class Looker:
         return result
 
     def _images(self, asked: Look) -> dict[str, Float[Tensor, "1 3 H W"]]:
-        cloth = None if asked.cloth is None else cloth_of_run(Path(asked.cloth))
-        bodies, view_cache = self._open(asked.scene, on_cloth=cloth is not None)
+        bodies, source = self._open(asked.scene)
         if not 0 <= asked.pose < bodies.pose_count:
             raise InputError(f"pose {asked.pose}: scene '{bodies.name}' has {bodies.pose_count}")
-        worn = asked.logo is not None and asked.colors is not None
-        # Without a cloak any face will do: it gets the colour that it has.
-        ids = load_logo(bodies, asked.logo).face_ids if worn else np.zeros(1, np.int64)
-        view = view_cache.bake(asked.pose, asked.camera, ids, asked.outfit)
+        if asked.logo is None or asked.colors is None:
+            # Without a cloak any face will do: it gets the colour that it has.
+            patterns = {CLOTHING: OwnClothing(Cover(np.zeros(1, np.int64), bodies.topology))}
+        else:
+            cover = load_logo(bodies, asked.logo)
+            patterns = {CLOTHING: OwnClothing(cover), CLOAK: _worn(asked, cover)}
         backdrops = self._backgrounds(asked.backgrounds)
-        behind = backdrops.batch([asked.background % len(backdrops)], asked.height, asked.width).to(self._device)
-        colors = {CLOTHING: bodies.face_colors[asked.outfit, ids]}
-        if worn:
-            colors[CLOAK] = read_colors(Path(asked.colors), len(ids))
-        tensors = {
-            name: torch.tensor(np.asarray(values, np.float32), device=self._device) for name, values in colors.items()
-        }
-        images = {name: compose([view], values, behind) for name, values in tensors.items()}
-        if worn and cloth is not None:
-            squares = torch.from_numpy(cloth.colors).to(self._device)
-            images[CLOAK] = compose([on_cloth(view, cloth.cloth)], squares, behind)
-        return images
+        size = asked.height, asked.width
+        source = source.planned(None, asked.camera)
+        source.on_cloth = any(pattern.needs_cloth for pattern in patterns.values())
+        images = ImageSet(source, backdrops, size, self._device)
+        shown = {name: getattr(asked, name) for name in ("pose", "outfit", "azimuth", "elevation", "distance")}
+        found = {}
+        for name, pattern in patterns.items():
+            views = images.make_views([(shown, None)], pattern)
+            rows = images.backdrop(views, [asked.background % len(backdrops)])
+            found[name] = dressed(views, pattern, rows).paint(pattern.colors_in(views[0], 0))
+        return found
 
-    def _open(self, spec: str, on_cloth: bool) -> tuple[Bodies, ViewCache]:
+    def _open(self, spec: str) -> tuple[Bodies, BodySource]:
         files = [path for path in (Path(spec), Path(spec) / "bodies.npz") if path.exists()]
-        key = (spec, on_cloth, tuple(path.stat().st_mtime_ns for path in files))
+        key = (spec, tuple(path.stat().st_mtime_ns for path in files))
         if self._scene is None or self._scene[0] != key:
             bodies = load_scene(spec)
             settings = RenderSettings(device=self._device, memory_bytes=1 << 28)
-            self._scene = key, bodies, ViewCache(bodies, settings, on_cloth=on_cloth)
+            self._scene = key, bodies, BodySource(bodies, settings, Camera())
         return self._scene[1:]
 
     def _backgrounds(self, spec: str) -> Backgrounds:
         if self._backdrops is None or self._backdrops[0] != spec:
             self._backdrops = spec, load_backgrounds(spec)
         return self._backdrops[1]
+
+
+def _worn(asked: Look, cover: Cover) -> Pattern:
+    """Read what a request wears: a run's cloth, else colours of faces, which Blender may have changed since."""
+    if asked.cloth is not None and (Path(asked.cloth) / CLOTH_FILE).exists():
+        return run_pattern(Path(asked.cloth), cover)
+    return FacePattern(cover, colors=read_colors(Path(asked.colors), len(cover)))

@@ -9,41 +9,36 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Int64
 
-from cloak_core.core.detector.protocol import Detector, detector_record
-from cloak_core.core.evaluate import measure_frozen
-from cloak_core.core.evaluation.controls import LOGO, NATURAL, STANDARD
-from cloak_core.core.evaluation.measure import OnProgress, kept_frozen, measure
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluate import Patterns, identity, measure_frozen
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO, NATURAL, RESAMPLED, STANDARD
+from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.evaluation.results import Results, pool, read_results
 from cloak_core.core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings
+from cloak_core.core.images import ImageSet, Indices
 from cloak_core.core.logo import make_logo
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json
-from cloak_core.sources.photographs.fits import NOBODY, Fits, fit_people, people_identity
+from cloak_core.patterns.controls import OwnClothing, controls
+from cloak_core.sources.photographs.fits import NOBODY, Fits, fit_people
 from cloak_core.sources.photographs.people import People
-from cloak_core.sources.photographs.views import logo_positions
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
-from cloak_core.studies.data_split import DataSplit, backgrounds_record, bodies_record
-from cloak_core.studies.evaluate import make_renderer
-from cloak_core.studies.printed_cloth import PrintedCloth
+from cloak_core.studies.data_split import DataSplit
+from cloak_core.studies.imagery import drawn_images, people_images
+from cloak_core.studies.opening import clothes_cover
 from cloak_core.studies.report.words import short_name
 from cloak_core.studies.training_store import Trained, Training, TrainingStore, content_key
-from cloak_core.studies.wearing.clothes import Clothes, clothes_of, content_of
-from cloak_core.studies.wearing.renderer import PeopleRenderer
 
-MEASUREMENT_VERSION = 4
-"""Raise it by one when the same colours and settings give other scores or boxes than before: after a change of the
-drawn images, rendering, detectors, or of what is kept of their answers."""
 CONTROLS = (*STANDARD, *NATURAL)
+PEOPLE_CONTROLS = (*STANDARD, RESAMPLED)
 
 
 class RunStore(TrainingStore):
@@ -108,19 +103,9 @@ class RunStore(TrainingStore):
         """The split's people in photographs, fitted, to train on."""
         return NOBODY if self.split.people is None else fit_people(self.split.people)
 
-    def untrained(
-        self,
-        colors: Float32[np.ndarray, "L 3"],
-        faces: Int64[np.ndarray, " L"],
-        folder: Path = Path("untrained"),
-        cloth: PrintedCloth | None = None,
-    ) -> Trained:
-        """Take colours that were not trained here, to evaluate them; the folder's name is told in records.
-
-        cloth: what the colours are the means of.
-        """
-        logo = make_logo(self.split.unseen, faces)
-        return Trained(colors, logo, folder, math.nan, math.nan, self.train_settings(), cloth)
+    def untrained(self, pattern: Pattern, folder: Path = Path("untrained")) -> Trained:
+        """Take a pattern that was not trained here, to evaluate it; the folder's name is told in records."""
+        return Trained(pattern, folder, math.nan, math.nan, self.train_settings())
 
     def train_settings(self, seed: int = 0, specs: Sequence[str] = (), **changes: object) -> TrainSettings:
         """Make the settings of a training from the options, with changes by name.
@@ -164,15 +149,11 @@ class RunStore(TrainingStore):
         bodies where none are given. changes: evaluation settings by name.
         """
         settings = self.evaluate_settings(**changes)
-        specs = tuple(specs or self.specs)
-        bodies = bodies or self.split.unseen
-        angles = tuple(map(float, angles))
-        people = self.split.unseen_people
-        more = {} if people is None else {"people": people_identity(people)}
+        detectors = {spec: self.split.detectors[spec] for spec in specs or self.specs}
         results = []
         for repetition in trained:
-            make = partial(self.renderer, repetition, angles, settings, bodies if people is None else None)
-            results.append(self.measure_once(make, repetition, bodies, specs, angles, settings, **more))
+            images, patterns = self.shown(repetition.pattern, angles, settings, bodies)
+            results.append(self.measure_once(images, patterns, detectors, settings, repetition.folder.name))
         return pool(results)
 
     def evaluate_settings(self, **changes: object) -> EvaluateSettings:
@@ -188,87 +169,56 @@ class RunStore(TrainingStore):
         )
         return replace(settings, **changes)
 
-    def renderer(
-        self, trained: Trained, angles: Sequence[float], settings: EvaluateSettings, bodies: Bodies | None = None
-    ) -> BodyRenderer | PeopleRenderer:
-        """Make the renderer of an evaluation's images: these bodies, else unseen people, else unseen bodies."""
+    def shown(
+        self, pattern: Pattern, angles: Sequence[float], settings: EvaluateSettings, bodies: Bodies | None = None
+    ) -> tuple[ImageSet, Patterns]:
+        """Make the images of an evaluation, and what is worn in them: these bodies, else unseen people, else bodies."""
         backgrounds = self.split.unseen_backgrounds
         device = next(iter(self.split.detectors.values())).device
+        names = dict.fromkeys((CLOTHING, *settings.controls))
+        worn = lambda seen: {LOGO: pattern} | controls(tuple(names), pattern, settings.seed, seen)
         if bodies is None and self.split.unseen_people is not None:
-            position = logo_positions(trained.logo.topology, trained.logo.face_ids)
-            worn = clothes_of(LOGO, position, trained.colors, trained.cloth)
-            wear = WearSettings(size=settings.size)
-            return PeopleRenderer(fit_people(self.split.unseen_people), [worn], backgrounds, wear, device)
+            fits = fit_people(self.split.unseen_people)
+            return people_images(fits, backgrounds, WearSettings(size=settings.size), device), worn(None)
         bodies = bodies or self.split.unseen
-        cloaked = Cloaked(trained.colors, make_logo(bodies, trained.logo.face_ids), bodies, backgrounds, trained.cloth)
-        return make_renderer(cloaked, angles, settings, device)
+        patterns = worn(bodies)
+        angles = tuple(map(float, angles))
+        return drawn_images(bodies, backgrounds, angles, settings, device, patterns.values()), patterns
 
     def measure_once(
         self,
-        make: Callable[[], EvaluationRenderer],
-        trained: Trained,
-        bodies: Bodies,
-        specs: tuple[str, ...],
-        angles: tuple[float, ...],
-        settings: EvaluateSettings,
-        **more: object,
+        images: ImageSet,
+        patterns: Patterns,
+        detectors: dict[str, Detector],
+        settings: EvaluateSettings | WearSettings,
+        name: str,
+        bare: Indices | None = None,
     ) -> Results:
-        """Measure what these detectors say of the images of the renderer that `make` makes, or find it.
+        """Measure what these detectors say of these images, or find it: results are kept by their content.
 
-        more: what else decides the images, by name.
+        name: of what is judged, which is kept beside them for people. bare: see `measure_frozen`.
         """
-        record = {
-            "settings": asdict(settings),
-            "angles": angles,
-            "bodies": bodies_record(bodies)["sha256"],
-            "logo": trained.content,
-            "detectors": [[spec, self._detector_records[spec]] for spec in specs],
-            "operating_points": [self.split.detectors[spec].operating_point for spec in specs],
-            "backgrounds": backgrounds_record(self.split.unseen_backgrounds),
-            "measurement": MEASUREMENT_VERSION,
-        }
-        shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
-        detectors = {spec: self.split.detectors[spec] for spec in specs}
-        look = lambda: measure_frozen(make(), detectors, settings, self.on_images)[0]
-        return self._kept(record | more, shown | more, look)
-
-    def measure_people(self, clothes: Sequence[Clothes], people: People, settings: WearSettings) -> Results:
-        """Measure what all detectors say of people in photographs in these clothes and the controls, or find it."""
-        record = {
-            "settings": asdict(settings),
-            "clothes": {one.name: content_of(one) for one in clothes},
-            "people": people_identity(people),
-            "detectors": [[spec, self._detector_records[spec]] for spec in self.specs],
-            "operating_points": [self.split.detectors[spec].operating_point for spec in self.specs],
-            "measurement": MEASUREMENT_VERSION,
-        }
-
-        def look() -> Results:
-            device = self.split.detectors[self.specs[0]].device
-            renderer = PeopleRenderer(fit_people(people), clothes, self.split.unseen_backgrounds, settings, device)
-            told = {"batch": settings.batch, "on_progress": self.on_images}
-            with kept_frozen(self.split.detectors):
-                return measure(renderer, self.split.detectors, tuple(renderer.clothes), (), **told)
-
-        shown = {"run": "people", "settings": asdict(settings), "clothes": list(record["clothes"])}
-        shown |= {"detectors": self.specs}
-        return self._kept(record, shown, look)
-
-    def _kept(self, record: Mapping[str, object], shown: Mapping[str, object], look: Callable[[], Results]) -> Results:
-        """Measure once: results are found again by the content of `record`; `shown` is kept beside them for people."""
-        folder = self.out / "evaluations" / content_key(record, self.options.device)
+        content = identity(images, patterns, detectors, settings)
+        if content is None:
+            return measure_frozen(images, patterns, detectors, settings, self.on_images, None, bare)[0]
+        folder = self.out / "evaluations" / content_key({"evaluation": content}, self.options.device)
         with self.locked(folder):
             if not (folder / "scores.npz").exists():
-                self.tell(f"evaluating{' on people,' * ('people' in record)} by {_short(shown['detectors'])}")
-                results = look()
+                self.tell(f"evaluating {name} by {_short(list(detectors))}")
+                results, _ = measure_frozen(images, patterns, detectors, settings, self.on_images, None, bare)
+                shown = {"run": name, "settings": asdict(settings), "detectors": list(detectors)}
                 with new_folder(folder) as temporary:
-                    write_json(temporary / "config.json", dict(shown))
+                    write_json(temporary / "config.json", shown | {"worn": list(patterns)})
                     results.save(temporary / "scores.npz")
         return read_results(folder / "scores.npz")
 
-    @cached_property
-    def _detector_records(self) -> dict[str, dict]:
-        return {spec: detector_record(detector) for spec, detector in self.split.detectors.items()}
+    def measure_people(self, worn: Patterns, people: People, settings: WearSettings) -> Results:
+        """Measure what all detectors say of people in photographs in these patterns and the controls, or find it."""
+        detectors = self.split.detectors
+        device = detectors[self.specs[0]].device
+        images = people_images(fit_people(people), self.split.unseen_backgrounds, settings, device)
+        patterns = dict(worn) | controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover()), settings.seed)
+        return self.measure_once(images, patterns, detectors, settings, "people", ())
 
 
 def _training_words(specs: Sequence[str], seed: int, changes: Mapping[str, object]) -> str:

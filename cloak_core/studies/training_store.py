@@ -15,26 +15,24 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
 from cloak_core.core.events import OnEvent
-from cloak_core.core.logo import Logo
 from cloak_core.core.loop import RunResult
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.run_config import FILES, decisive
 from cloak_core.core.settings import TrainSettings, settings_record
-from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
 from cloak_core.files.locks import lock
 from cloak_core.files.writing import remove_leftovers, written
 from cloak_core.sources.photographs.fits import Fits
-from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
+from cloak_core.studies.opening import run_pattern
 from cloak_core.studies.trained_run import clocked, cpu_seconds, read_history
 from cloak_core.studies.trainings.run_record import Training, device_kind
 from cloak_core.studies.trainings.training import train, training_config
 
 _log = logging.getLogger("cloak")
-TRAINING_VERSION = 4
+TRAINING_VERSION = 5
 """Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
 objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")
@@ -44,24 +42,14 @@ PACKAGES = ("torch", "numpy", "numba", "pillow")
 class Trained:
     """The colours of one training."""
 
-    colors: Float32[np.ndarray, "L 3"]
-    logo: Logo
+    pattern: Pattern
+    """In its colours."""
     folder: Path
     seconds: float
     """Wall-clock time of the training."""
     cpu_seconds: float
     """Processor time of the training, all threads; nan where it was not measured."""
     settings: TrainSettings = field(repr=False)
-    cloth: PrintedCloth | None = None
-    """What the colours are the means of on each face, where a cloth was trained."""
-
-    @property
-    def content(self) -> str:
-        """SHA-256 (hex) of what is worn: faces, colours, cloth."""
-        arrays = [self.logo.face_ids, self.colors]
-        if self.cloth is not None:
-            arrays += [self.cloth.colors, np.array(self.cloth.cloth.metres)]
-        return sha256_arrays(*arrays)
 
 
 class TrainingStore:
@@ -105,11 +93,9 @@ class TrainingStore:
                 result = self._go_on(training, folder)
                 if result.stopped:
                     raise Stopped(f"{folder}: stopped at step {result.step}: {result.stopped}")
-        colors = read_colors(folder / "colors.npy", len(training.logo))
+        pattern = run_pattern(folder, training.logo, training.bodies)
         seconds = read_history(folder).seconds
-        return Trained(
-            colors, training.logo, folder, seconds, cpu_seconds(folder), training.settings, cloth_of_run(folder)
-        )
+        return Trained(pattern, folder, seconds, cpu_seconds(folder), training.settings)
 
     def go_on(self, training: Training, folder: Path) -> RunResult:
         """Train into its folder, from where it is, and tell how that ended; of a complete run, how it had ended."""

@@ -15,10 +15,10 @@ from cloak_core.detectors.loading import check_recorded, load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import without_folders
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.studies.cloaked import Cloaked
-from cloak_core.studies.evaluate import evaluate
+from cloak_core.studies.evaluate import evaluate, show_bodies
 from cloak_core.studies.trained_run import EMBEDDED, kept_back
 from cloak_core.zoo.entry import Entry
 
@@ -65,9 +65,10 @@ def evaluate_again(
             f"its record has {told['inputs']['backgrounds']}"
         )
     detectors = {spec: _detector(spec, files, whose, device) for spec in told["detectors"]}
-    cloaked = Cloaked(found.colors, make_logo(bodies, found.ids), bodies, backgrounds)
-    how = told["settings"]["angles"], _settings(told["settings"], most_images)
-    measured = evaluate(cloaked, detectors, *how, training=found.config, on_progress=on_progress)
+    pattern = FacePattern(make_logo(bodies, found.ids), bodies, found.colors)
+    settings = _settings(told["settings"], most_images)
+    shown = show_bodies(pattern, bodies, backgrounds, detectors, told["settings"]["angles"], settings, found.config)
+    measured = evaluate(shown, detectors, settings, on_progress=on_progress)
     pairs = {spec: (told["detectors"][spec]["logo"], measured["detectors"][spec]["logo"]) for spec in detectors}
     return {
         spec: {"recorded": headline(old), "again": headline(new), "holds": _holds(old, new)}

@@ -15,11 +15,11 @@ from cloak_core.core.detector import IOU, THRESHOLD
 from cloak_core.core.detector.outcomes import OnBody, class_name, classes_above, without_classes
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.core.detector.scoring import box_iou, max_person_score, person_boxes
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.evaluation.precision import MOST_BOXES, first_hits
-from cloak_core.core.evaluation.renderer import EvaluationRenderer, Indices
 from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, Results, make_results
-from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.images import ImageSet, Indices
+from cloak_core.core.pattern import Pattern
 from cloak_core.files.errors import InputError
 
 BOX_THRESHOLD = 0.001
@@ -33,32 +33,32 @@ OnImages = Callable[[str, np.ndarray, Tensor, pd.DataFrame], None]
 
 @torch.no_grad()
 def measure(
-    renderer: EvaluationRenderer,
+    images: ImageSet,
+    patterns: Mapping[str, Pattern],
     detectors: Mapping[str, Detector],
-    controls: Sequence[str],
     bare: Indices = (),
     *,
     batch: int = 16,
     on_progress: OnProgress | None = None,
     on_images: OnImages | None = None,
 ) -> Results:
-    """Render every trial under every control and record what each detector reports.
+    """Render every trial in every pattern and record what each detector reports.
 
-    controls: the first is the trained logo. bare: backgrounds looked at with nobody in front. batch: images at once.
-    The boxes of the result have corners.
+    patterns: by name; the first is what is judged, the others are its controls. bare: backgrounds looked at with nobody
+    in front. batch: images at once. The boxes of the result have corners.
     """
     judges = list(detectors.values())
-    progress = Progress(len(renderer.trials) * len(controls) + len(bare), on_progress)
-    scores, boxes, true = _judge_trials(renderer, judges, controls, batch, progress, on_images)
+    progress = Progress(len(images.trials) * len(patterns) + len(bare), on_progress)
+    scores, boxes, true = _judge_trials(images, patterns, judges, batch, progress, on_images)
     return make_results(
         {spec: float(detector.operating_point) for spec, detector in detectors.items()},
-        controls,
-        renderer.trials.assign(**dict(zip(TRUE_BOX, true.T, strict=True))),
-        bare=_judge_bare(renderer, judges, np.asarray(bare, np.int64), batch, progress),
+        tuple(patterns),
+        images.trials.assign(**dict(zip(TRUE_BOX, true.T, strict=True))),
+        bare=_judge_bare(images, judges, np.asarray(bare, np.int64), batch, progress),
         boxes=boxes,
         **scores,
-        body_names=renderer.body_names,
-        background_names=renderer.background_names,
+        body_names=images.body_names,
+        background_names=images.background_names,
         bare_background=np.asarray(bare, np.int64),
     )
 
@@ -77,11 +77,6 @@ def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float] | Non
     for option, named in (("--detector", detectors), ("--angles", (0.0,) if angles is None else angles)):
         if not len(named):
             raise InputError(f"{option}: none given")
-
-
-def all_controls(settings: EvaluateSettings) -> tuple[str, ...]:
-    """List the trained colours and their controls; own clothing is always among them."""
-    return tuple(dict.fromkeys((LOGO, CLOTHING, *settings.controls)))
 
 
 class Progress:
@@ -106,9 +101,9 @@ def batches(indices: np.ndarray, size: int) -> Iterator[np.ndarray]:
 
 
 def _judge_trials(
-    renderer: EvaluationRenderer,
+    images: ImageSet,
+    patterns: Mapping[str, Pattern],
     detectors: Sequence[Detector],
-    controls: Sequence[str],
     size: int,
     progress: Progress,
     on_images: OnImages | None,
@@ -117,30 +112,31 @@ def _judge_trials(
 
     Own clothing comes first: another class that is reported there already is nothing that a cloak brought.
     """
-    count = len(renderer.trials)
-    shape = len(detectors), len(controls), count
+    names, count = list(patterns), len(images.trials)
+    shape = len(detectors), len(names), count
     scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
     scores["other_name"] = np.full(shape, "", object)
     true_boxes = np.zeros((count, 4), np.float32)
     box_rows = []
-    order = sorted(range(len(controls)), key=lambda c: controls[c] != CLOTHING)
+    order = sorted(range(len(names)), key=lambda c: names[c] != CLOTHING)
     for batch in batches(np.arange(count), size):
-        views = renderer.views(batch)
-        true = renderer.boxes(views, batch)
+        views = images.views(batch, patterns[names[0]])
+        true = images.boxes(views, batch)
         true_boxes[batch] = true.cpu().numpy()
         own: dict[int, list[Tensor] | None] = {}
-        for c, images in zip(order, renderer.compose(views, batch, [controls[c] for c in order]), strict=True):
+        shown = images.compose(batch, [patterns[names[c]] for c in order])
+        for c, pictures in zip(order, shown, strict=True):
             before = len(box_rows)
             for d, detector in enumerate(detectors):
-                detections = renderer.about_person(detector(images), views, batch)
-                best = without_classes(renderer.on_person(detections, views, batch), detections, own.get(d))
-                if controls[c] == CLOTHING:
+                detections, best = images.judged(detector(pictures), views, batch)
+                best = without_classes(best, detections, own.get(d))
+                if names[c] == CLOTHING:
                     own[d] = classes_above(best, detections, min(float(detector.operating_point), THRESHOLD))
                 for name, values in image_scores(detector, detections, best).items():
                     scores[name][d, c, batch] = values
                 box_rows += _boxes(d, c, batch, detections, true.cpu())
             if on_images:
-                on_images(controls[c], batch, images, pd.DataFrame(_columns(box_rows[before:])))
+                on_images(names[c], batch, pictures, pd.DataFrame(_columns(box_rows[before:])))
             progress.advance(len(batch))
     return scores, _columns(box_rows), true_boxes
 
@@ -168,13 +164,13 @@ def image_scores(detector: Detector, detections: Detections, best: OnBody) -> di
 
 
 def _judge_bare(
-    renderer: EvaluationRenderer, detectors: Sequence[Detector], backgrounds: np.ndarray, size: int, progress: Progress
+    images: ImageSet, detectors: Sequence[Detector], backgrounds: np.ndarray, size: int, progress: Progress
 ) -> Float32[np.ndarray, "D M"]:
     """Find the best scores on backgrounds without a person."""
     score = [np.zeros((len(detectors), 0), np.float32)]
     for batch in batches(backgrounds, size):
-        images = renderer.bare(batch)
-        score.append(np.stack([max_person_score(detector(images)).cpu().numpy() for detector in detectors]))
+        shown = images.bare(batch)
+        score.append(np.stack([max_person_score(detector(shown)).cpu().numpy() for detector in detectors]))
         progress.advance(len(batch))
     return np.concatenate(score, axis=1).astype(np.float32)
 

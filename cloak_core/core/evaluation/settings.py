@@ -13,12 +13,16 @@ from tyro.conf import Suppress, UseAppendAction
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector import IOU, THRESHOLD
-from cloak_core.core.evaluation.controls import STANDARD
+from cloak_core.core.evaluation.controls import NAMES, STANDARD
 from cloak_core.core.evaluation.intervals import RESAMPLES
 from cloak_core.core.settings import Preset, check_settings
 from cloak_core.core.settings.values import Angles, Bounds, Positive
 from cloak_core.core.visibility.settings import RenderOptions
 from cloak_core.files.errors import InputError
+
+T = TypeVar("T")
+Internal = Annotated[T, Suppress]
+"""Set by programs, not an option of a command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +50,8 @@ class EvaluateSettings(RenderOptions):
     """The body is moved by up to this many pixels along both axes, as in training; 0 keeps it in the middle."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
     """A person counts as detected above this score."""
-    controls: tuple[Literal["clothing", "grey", "random", "stripes", "checks"], ...] = STANDARD
-    """What the logo is compared with."""
+    controls: tuple[Literal[NAMES], ...] = STANDARD
+    """What the logo is compared with; people in photographs also wear their own clothes resampled."""
     bare: Annotated[int, Bounds(1)] = 256
     """At most this many bare backgrounds are looked at for false alarms."""
     resamples: Annotated[int, Bounds(100)] = RESAMPLES
@@ -167,12 +171,13 @@ class WearSettings:
     """Backgrounds without people on which false alarms are counted."""
     batch: Annotated[int, Bounds(1, 1024)] = 8
     """Images that a detector sees at a time."""
+    seed: Internal[int] = 0
+    """Every random draw derives from it."""
+    resamples: Internal[int] = RESAMPLES
+    """Bootstrap resamples behind each interval."""
 
 
 QUICK_STEPS = 150
-T = TypeVar("T")
-Internal = Annotated[T, Suppress]
-"""Set by programs, not an option of a command."""
 
 
 @dataclass(frozen=True, kw_only=True)

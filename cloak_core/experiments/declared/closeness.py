@@ -42,8 +42,8 @@ def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
     settings = store.evaluate_settings()
     rows: dict[str, list[Picture]] = {}
     for cell, (trained, *_) in trainings:
-        renderer = store.renderer(trained, cell.angles, settings)
-        shown = trial_picture(renderer, 0, detector, THRESHOLD)
+        images, _ = store.shown(trained.pattern, cell.angles, settings)
+        shown = trial_picture(images, trained.pattern, 0, detector, THRESHOLD)
         within = f"{cell.label['within']:g}" if cell.label["within"] < FREE else "free"
         rows.setdefault(cell.label["attack"], []).append(shown._replace(text=f"{within}: {shown.text}"))
     return {"strip": draw_sheet(rows)}

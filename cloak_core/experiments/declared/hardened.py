@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import itemgetter
 
@@ -16,17 +16,15 @@ from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.evaluation import statistics
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import Results
-from cloak_core.core.logo import chest_thighs, shirt_trousers
+from cloak_core.core.logo import Cover, chest_thighs, shirt_trousers
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, test_angles
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
-from cloak_core.studies.cloaked import cloth_colors
 from cloak_core.studies.negatives import pattern_scores
-from cloak_core.studies.printed_cloth import PrintedCloth
+from cloak_core.studies.opening import Opened, cloth_spec, open_pattern
 from cloak_core.studies.report.charts import Lines, Rows, group
 from cloak_core.studies.report.words import short_names
 from cloak_core.studies.store import RunStore
-from cloak_core.studies.wearing.clothes import PictureClothes, cloth_spec, read_clothes
 from cloak_core.studies.wearing.patterns import pattern_specs
 
 LEAST_IMAGES = 300
@@ -95,14 +93,14 @@ def images(store: RunStore) -> dict:
 def cells(store: RunStore) -> Cells:
     alarms = Alarms(store)
     patterns = [spec for named in store.options.patterns for spec in pattern_specs(named)]
-    clothes = [read_clothes(cloth_spec(pattern)) for pattern in patterns]
+    opened = [open_pattern(cloth_spec(pattern)) for pattern in patterns]
     for spec in store.specs:
         for name, attack in SUITE.items():
             reference = spec == store.specs[0] and len(store.specs) > 1
             if (attack.quick or not store.options.quick) and not (reference and name not in (CHEST, BODY)):
                 yield _cell(store, spec, attack, ADAPTIVE, spec, alarms)
         yield from _without_gradient(store, spec, alarms)
-        yield from _published(store, spec, alarms, clothes)
+        yield from _published(store, spec, alarms, opened)
 
 
 def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Cell]:
@@ -123,16 +121,13 @@ def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Ce
         yield _cell(store, spec, Attack(logo=CHEST, changes=queries), SEARCH, spec, alarms)
 
 
-def _published(store: RunStore, spec: str, alarms: Alarms, clothes: Sequence[PictureClothes]) -> Iterator[Cell]:
+def _published(store: RunStore, spec: str, alarms: Alarms, opened: Sequence[Opened]) -> Iterator[Cell]:
     """Patterns that others trained, as cloth."""
     bodies = store.split.unseen
-    for cloth in clothes:
-        faces = LOGOS[SHIRT](bodies)
-        label = {"detector": spec, "logo": SHIRT, "attack": PUBLISHED, "trained_on": None, "steps": 0}
-        colors = cloth_colors(cloth.picture, cloth.metres, bodies, faces)
-        printed = PrintedCloth.of(cloth.picture, cloth.metres)
-        named = label | {"changes": cloth.name}
-        yield _judged(store, spec, named, alarms, faces=faces, colors=colors, cloth=printed)
+    for pattern, _, name in opened:
+        worn = replace(pattern, cover=Cover(LOGOS[SHIRT](bodies), bodies.topology), bodies=bodies)
+        label = {"detector": spec, "logo": SHIRT, "attack": PUBLISHED, "trained_on": None, "steps": 0, "changes": name}
+        yield _judged(store, spec, label, alarms, faces=worn.cover.face_ids, pattern=worn)
 
 
 def _cell(store: RunStore, spec: str, attack: Attack, kind: str, trained_on: str, alarms: Alarms) -> Cell:
@@ -158,7 +153,7 @@ def _cell(store: RunStore, spec: str, attack: Attack, kind: str, trained_on: str
 def _judged(
     store: RunStore, spec: str, label: dict, alarms: Alarms, test: Mapping[str, object] | None = None, **what: object
 ) -> Cell:
-    """Make a cell that this detector judges; what: the faces, and their colours or how they are trained."""
+    """Make a cell that this detector judges; what: the faces, and what they wear or how it is trained."""
     test = {"controls": (CLOTHING,)} | images(store) | dict(test or {})
     return Cell(label=label, judges=[spec], test=test, columns=COLUMNS, extra=alarms.columns, **what)
 

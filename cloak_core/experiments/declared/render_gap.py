@@ -6,17 +6,18 @@ import numpy as np
 import torch
 from PIL import Image
 
+from cloak_core.core.evaluate import Patterns
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.core.evaluation.renderer import render_images
 from cloak_core.core.evaluation.statistics import training_row
+from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import chest_thighs
+from cloak_core.core.pattern import Pattern
 from cloak_core.experiments.declaration import MULTI, Bars, Experiment, Numbers, RunStore
 from cloak_core.experiments.runner import threshold_rows
-from cloak_core.studies.body_renderer import BodyRenderer
 from cloak_core.studies.cycles import (
     LIGHTS,
     SAMPLES,
-    CyclesRenderer,
+    CyclesImages,
     image_difference,
     render_frames,
     require_blender,
@@ -24,7 +25,6 @@ from cloak_core.studies.cycles import (
 from cloak_core.studies.report.charts import Rows
 from cloak_core.studies.report.pictures import to_pil
 from cloak_core.studies.report.words import file_name
-from cloak_core.studies.store import CONTROLS
 
 NAMES = {"ours": "our renders", "matching": "Cycles, matching light", "studio": "Cycles, studio", "sky": "Cycles, sky"}
 
@@ -42,39 +42,37 @@ def measure(store: RunStore) -> Numbers:
     paths = SAMPLES // 2 if quick else SAMPLES
     for spec in store.specs:
         trained = store.train_repetitions(chest_thighs(store.split.bodies), [spec], angles=MULTI)[0]
-        ours = store.renderer(trained, angles, settings, unseen)
+        ours, patterns = store.shown(trained.pattern, angles, settings, unseen)
         ours.trials = ours.trials.assign(outfit=0)  # every other outfit would need frames of its own
-        frames = render_frames(ours, (LOGO, *CONTROLS), store.options.out / "frames", paths, store.tell)
-        renderers = {"ours": ours} | {light: CyclesRenderer(ours, frames, light) for light in LIGHTS}
+        frames = render_frames(ours, patterns, store.options.out / "frames", paths, store.tell)
+        sets = {"ours": ours} | {light: CyclesImages.of(ours, patterns, frames, light) for light in LIGHTS}
         row_of = {}
-        for name, renderer in renderers.items():
-            more = {} if renderer is ours else {"frames": frames.name, "light": name}
-            results = store.measure_once(
-                lambda shown=renderer: shown, trained, unseen, (spec,), angles, settings, outfit=0, **more
-            )
+        for name, images in sets.items():
+            judge = {spec: store.split.detectors[spec]}
+            results = store.measure_once(images, patterns, judge, settings, trained.folder.name)
             row_of[name] = {"render": NAMES[name]} | training_row(results, spec)
             thresholds += threshold_rows(row_of[name], results, spec)
-        rows += [row | _gap(row_of["ours"], row, ours, renderers[name]) for name, row in row_of.items()]
-        pictures[f"renders-{file_name(spec)}"] = _sheet(renderers)
+        rows += [row | _gap(row_of["ours"], row, ours, sets[name], trained.pattern) for name, row in row_of.items()]
+        pictures[f"renders-{file_name(spec)}"] = _sheet(sets, patterns)
     return Numbers(rows, {"bodies": unseen.pose_count, "angles": len(angles), "paths": paths}, thresholds, pictures)
 
 
-def _gap(our_row: dict, row: dict, ours: BodyRenderer, shown: BodyRenderer) -> dict:
+def _gap(our_row: dict, row: dict, ours: ImageSet, shown: ImageSet, pattern: Pattern) -> dict:
     """Compare our success and images with those of `shown`; None where it is our own."""
     if shown is ours:
         return dict.fromkeys(("gap", "image_rms", "image_inside", "image_bias"))
-    difference = image_difference(ours, shown)
+    difference = image_difference(ours, shown, pattern)
     gap = round(our_row["success"] - row["success"], 4)
     return {"gap": gap} | {f"image_{key}": round(value, 4) for key, value in difference.items()}
 
 
-def _sheet(renderers: dict[str, BodyRenderer]) -> Image.Image:
+def _sheet(sets: dict[str, ImageSet], patterns: Patterns) -> Image.Image:
     """Draw the first image of two bodies, cloaked and in own clothing, a row each; renders side by side."""
-    pose = renderers["ours"].trials["pose"].to_numpy()
+    pose = sets["ours"].trials["pose"].to_numpy()
     rows = [
-        torch.cat([render_images(r, [int(np.flatnonzero(pose == body)[0])], control)[0] for r in renderers.values()], 2)
+        torch.cat([r.render([int(np.flatnonzero(pose == body)[0])], patterns[name])[0] for r in sets.values()], 2)
         for body in np.unique(pose)[:2]
-        for control in (LOGO, CLOTHING)
+        for name in (LOGO, CLOTHING)
     ]
     picture = to_pil(torch.cat(rows, 1))
     return picture.resize((1000, round(1000 * picture.height / picture.width)), Image.Resampling.LANCZOS)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
 from cloak_core.sources.bodies.view_cache import ViewCache
 
 FRESH_VIEWS_BYTES = 128 << 20
@@ -79,15 +81,29 @@ class BodySource:
 
     directions, members, is_fresh = 1, 0, False
 
-    def __init__(self, bodies: Bodies, settings: RenderSettings, viewpoint: Camera, plan: BodyPlan | None = None) -> None:
-        """viewpoint: the camera, but for azimuth, elevation and distance; plan: of a training, which draws those."""
+    def __init__(
+        self,
+        bodies: Bodies,
+        settings: RenderSettings,
+        viewpoint: Camera,
+        plan: BodyPlan | None = None,
+        on_cloth: bool = False,
+    ) -> None:
+        """viewpoint: the camera, but for azimuth, elevation and distance; plan: of a training, which draws those.
+
+        on_cloth: whether some pattern needs views that tell where on a cloth places lie; others then share them.
+        """
+        self.on_cloth = on_cloth
         self.bodies = bodies
         self.settings = settings
         self.viewpoint = viewpoint
         self.plan = plan
         self._caches: dict[bool, ViewCache] = {}
         if plan is not None:
-            self.directions, self.members, self.is_fresh, self.draw = plan.directions, plan.members, plan.is_fresh, plan.draw
+            self.directions = plan.directions
+            self.members = plan.members
+            self.is_fresh = plan.is_fresh
+            self.draw = plan.draw
 
     @classmethod
     def trained(cls, bodies: Bodies, settings: ViewSettings, device: torch.device | str = "cpu") -> BodySource:
@@ -108,6 +124,12 @@ class BodySource:
         """See `Source`."""
         return self.views_for(False).works_on
 
+    @cached_property
+    def identity(self) -> str:
+        """See `Source`."""
+        render = [self.settings.samples, asdict(self.settings.light), str(self.settings.device), self.on_cloth]
+        return sha256_record([self.bodies.identity, render, asdict(self.viewpoint)])
+
     def views_for(self, needs_cloth: bool) -> ViewCache:
         """Give the cache of views that tell where on a cloth places lie, or of those that do not."""
         if needs_cloth not in self._caches:
@@ -122,7 +144,7 @@ class BodySource:
     def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         """See `Source`."""
         faces = check_topology(pattern.cover, self.bodies).face_ids
-        cache = self.views_for(pattern.needs_cloth)
+        cache = self.views_for(pattern.needs_cloth or self.on_cloth)
         view = cache.bake(int(shown["pose"]), self.camera(shown), faces, int(shown["outfit"]))
         return view if seed is None else replace(view, stream=(seed, _CLOTH))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -14,7 +15,8 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
-from cloak_core.sources.photographs.fits import Fits
+from cloak_core.files.identity import sha256_record
+from cloak_core.sources.photographs.fits import Fits, people_identity
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.views import (
     CONTEXT,
@@ -58,6 +60,11 @@ class PeopleSource:
         self.works_on = torch.device(device)
         self._last: tuple[int, np.ndarray] = -1, np.zeros(0, np.int64)
         self._positions: dict[str, Int64[np.ndarray, " T"]] = {}
+
+    @cached_property
+    def identity(self) -> str:
+        """See `Source`."""
+        return sha256_record([people_identity(Fits.of(self.fits).people), self.size, self.context])
 
     @property
     def members(self) -> int:

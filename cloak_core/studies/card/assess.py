@@ -13,31 +13,31 @@ import numpy as np
 from jaxtyping import Int64
 
 from cloak_core import __version__
+from cloak_core.core.evaluate import MEASUREMENT_VERSION
 from cloak_core.core.evaluation.controls import CLOTHING, NATURAL
 from cloak_core.core.evaluation.settings import WearSettings
-from cloak_core.core.logo import area_share, load_logo
+from cloak_core.core.logo import Cover, area_share, load_logo
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.visibility.threads import one_thread
-from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import remove_all_leftovers, write_json
+from cloak_core.patterns.controls import OwnClothing, controls
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
-from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.card import protocol
 from cloak_core.studies.card.figures import keep_rows, part_figures, part_of_area, people_states, summary
 from cloak_core.studies.card.page import keep_pictures
 from cloak_core.studies.card.work import TRAINED, OnWork, Work
-from cloak_core.studies.cloaked import cloth_colors
 from cloak_core.studies.data_split import people_record
+from cloak_core.studies.imagery import people_images
+from cloak_core.studies.opening import clothes_cover, open_pattern, run_pattern
 from cloak_core.studies.pace import Pace, measured_pace
-from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
-from cloak_core.studies.store import MEASUREMENT_VERSION, RunStore
+from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.studies.training_store import TRAINING_VERSION, Trained
 from cloak_core.studies.trainings.run_record import environment
-from cloak_core.studies.wearing.clothes import CONTROLS, Clothes, clothes_of, read_clothes
-from cloak_core.studies.wearing.renderer import PeopleRenderer
 from cloak_core.zoo.entry import MARK, run_path, shelved
 
 FORMAT = "cloak card 2"
@@ -61,7 +61,7 @@ class Assessment:
     people: People | None = None
     """People in photographs: the first ones are dressed in the largest cloak, another detector's, and the patterns."""
     patterns: Sequence[str] = ()
-    """Pictures to be worn, as `read_clothes` takes them: FILE.png@tile=METRES, FILE.png@patch=METRES."""
+    """Pictures to be worn, as `open_pattern` takes them: FILE.png@tile=METRES, FILE.png@patch=METRES."""
     shown: dict[str, tuple[Trained, tuple[float, ...], dict]] = field(default_factory=dict, init=False)
     """What pictures may be taken of, by part: a cloak, its test azimuths and evaluation settings."""
 
@@ -74,12 +74,12 @@ class Assessment:
         self.entries = self._entries()
         if self.people is not None:
             self.people = replace(self.people, people=self.people.people[: self.size.people])
-        self.clothes = [read_clothes(spec) for spec in self.patterns]
-        names = [cloth.name for cloth in self.clothes]
+        self.opened = [(name, pattern) for pattern, _, name in map(open_pattern, self.patterns)]
+        names = [name for name, _ in self.opened]
         if len(set(names)) < len(names):
             raise InputError(f"--patterns: {max(names, key=names.count)} is given twice")
-        self.patterns, self.left = self.patterns[: self.size.patterns], self.clothes[self.size.patterns :]
-        del self.clothes[self.size.patterns :]
+        self.patterns = self.patterns[: self.size.patterns]
+        self.opened, self.left = self.opened[: self.size.patterns], names[self.size.patterns :]
 
     def run(self) -> dict:
         """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
@@ -99,7 +99,7 @@ class Assessment:
             card["black_box"] = {"zoo": [self._entry(entry) for entry in self.entries]}
         if self.patterns:
             with work.part("patterns"):
-                card["patterns"] = [self._pattern(*one) for one in zip(self.patterns, self.clothes, strict=True)]
+                card["patterns"] = [self._pattern(*one) for one in self.opened]
                 card["patterns"] = [row for row in card["patterns"] if row]
         if self.people is not None:
             with work.part("people"):
@@ -127,11 +127,11 @@ class Assessment:
         """Clock two people in photographs, fitted and dressed: a picture's cost, in images that are looked at."""
         few = replace(self.people, people=self.people.people[:CLOCKED_PEOPLE])
         started = time.monotonic()
-        renderer = PeopleRenderer(fit_people(few), [], self.split.unseen_backgrounds, WearSettings())
-        every = range(len(few))
-        for _ in renderer.compose(renderer.views(every), every, CONTROLS):
+        images = people_images(fit_people(few), self.split.unseen_backgrounds, WearSettings())
+        every, worn = range(len(images.trials)), controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover()))
+        for _ in images.compose(every, list(worn.values())):
             pass
-        return 1 + (time.monotonic() - started) / (max(1, len(few) * len(CONTROLS)) * max(pace.forward, 1e-6))
+        return 1 + (time.monotonic() - started) / (max(1, len(few) * len(worn)) * max(pace.forward, 1e-6))
 
     # --- what there is to do
 
@@ -168,7 +168,7 @@ class Assessment:
         if self.patterns:
             costs["patterns"] = 0.0, front * len(self.patterns)
         if self.people is not None:
-            costs["people"] = 0.0, worn * len(self.people) * (len(CONTROLS) + 3 + len(self.patterns))
+            costs["people"] = 0.0, worn * len(self.people) * (len(PEOPLE_CONTROLS) + 2 + len(self.patterns))
         return costs
 
     def _asked(self) -> str:
@@ -197,7 +197,7 @@ class Assessment:
             "made": made | environment(),
             "counts": asdict(self.size) | {"pixels": options.size},
             "materials": materials,
-            "left_patterns": [one.name for one in self.left],
+            "left_patterns": self.left,
         }
 
     # --- the parts
@@ -206,7 +206,8 @@ class Assessment:
         """Measure own clothing and untrained patterns from everywhere, and bare scenes."""
         faces = self._areas[-1]
         noise = np.random.default_rng([self.store.options.seed, 0xB1]).integers(0, 2, (len(faces), 1))
-        worn = self.store.untrained(np.repeat(noise, 3, 1).astype(np.float32), faces, Path("black and white"))
+        colors = np.repeat(noise, 3, 1).astype(np.float32)
+        worn = self.store.untrained(FacePattern(self._cover(faces), colors=colors), Path("black and white"))
         angles, elevations, distances = protocol.CLEAN_ANGLES, protocol.CLEAN_ELEVATIONS, protocol.CLEAN_DISTANCES
         views = len(angles) * len(elevations) * len(distances) * self.split.unseen.pose_count
         settings = {
@@ -235,40 +236,40 @@ class Assessment:
 
     def _photographs(self, card: dict) -> dict:
         """Dress people in photographs in the largest cloak, made on renders, the zoo's strongest, and the patterns."""
-        clothes: list[Clothes] = list(self.clothes)
+        worn = {}
+        if self.white_box:
+            worn[protocol.AGAINST] = self.shown[part_of_area(self.size.areas[-1])][0].pattern
         strange = [row for row in card["black_box"]["zoo"] if not row["trained_against_it"]]
         if strange:
-            name = max(strange, key=lambda row: (row["success_own"], row["success"]))["name"]
-            clothes.insert(0, read_clothes(MARK + name))
-        if self.white_box:
-            worn, _, _ = self.shown[part_of_area(self.size.areas[-1])]
-            position = logo_positions(self.split.bodies.topology, worn.logo.face_ids)
-            clothes.insert(0, clothes_of(protocol.AGAINST, position, worn.colors, worn.cloth))
-        results = self.store.measure_people(clothes, self.people, WearSettings(bare=0))
+            name = MARK + max(strange, key=lambda row: (row["success_own"], row["success"]))["name"]
+            worn[name] = open_pattern(name)[0]
+        results = self.store.measure_people(worn | dict(self.opened), self.people, WearSettings(bare=0))
         rows = part_figures("people", keep_rows(self.folder, "people", [results]), self.spec, {})
         told = {"people": len(self.people), "left_out": self.people.left_out}
         return told | {"rows": people_states(card, rows)}
 
-    def _pattern(self, spec: str, cloth: Clothes) -> dict | None:
+    def _pattern(self, name: str, pattern: Pattern) -> dict | None:
         """Show it a published pattern as cloth for shirt and trousers, from the front; None of a patch."""
-        if cloth.is_patch:
+        if not pattern.period:
             return None
-        colors = cloth_colors(cloth.picture, cloth.metres, self.split.unseen, self._areas[-1])
-        printed = PrintedCloth.of(cloth.picture, cloth.metres)
-        worn = self.store.untrained(colors, self._areas[-1], Path(cloth.name), printed)
-        part = f"pattern {cloth.name}"
-        return {"name": cloth.name} | self._figures(part, [worn], self.size.front_angles, self._front())
+        bodies = self.split.unseen
+        worn = replace(pattern, cover=self._cover(self._areas[-1]), bodies=bodies)
+        part = f"pattern {name}"
+        shown = [self.store.untrained(worn, Path(name))]
+        return {"name": name} | self._figures(part, shown, self.size.front_angles, self._front())
+
+    def _cover(self, faces: Int64[np.ndarray, " L"]) -> Cover:
+        return Cover(faces, self.split.unseen.topology)
 
     def _entry(self, entry: dict) -> dict:
         """Show it a cloak of the zoo; one trained against this very detector says so, and does not count."""
         split = self.split
-        ids = load_logo(split.unseen, entry["path"] / "logo.npy").face_ids
-        colors = read_colors(entry["path"] / "colors.npy", len(ids))
-        worn = self.store.untrained(colors, ids, entry["path"], cloth_of_run(entry["path"]))
+        logo = load_logo(split.unseen, entry["path"] / "logo.npy")
+        worn = self.store.untrained(run_pattern(entry["path"], logo, split.unseen), entry["path"])
         unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
         white = trained_against(entry["config"], split.detectors)[self.spec]
         label = {"name": entry["name"], "trained_against_it": white, "unseen": unseen}
-        label["area"] = round(area_share(split.unseen, ids), 4)
+        label["area"] = round(area_share(split.unseen, logo.face_ids), 4)
         return label | self._figures(f"zoo {entry['name']}", [worn], self.size.front_angles, self._front())
 
     def _front(self) -> dict:

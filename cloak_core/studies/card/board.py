@@ -20,7 +20,6 @@ from cloak_core.studies.card.page import CARD, write_card
 from cloak_core.studies.card.protocol import SIZES
 from cloak_core.studies.report import page
 from cloak_core.studies.report.words import short_names
-from cloak_core.studies.store import MEASUREMENT_VERSION
 from cloak_core.studies.training_store import TRAINING_VERSION
 
 FIELDS = {

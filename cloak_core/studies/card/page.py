@@ -22,6 +22,7 @@ from cloak_core.files.writing import write_text, written
 from cloak_core.studies.card import certainty, leaderboard, words
 from cloak_core.studies.card.certainty import MEASURED, worn_rows
 from cloak_core.studies.card.leaderboard import markdown_rows, read_card
+from cloak_core.studies.imagery import flat_views
 from cloak_core.studies.report import page, plots
 from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
 from cloak_core.studies.store import RunStore
@@ -152,21 +153,24 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
     trials = {part: hidden_trials(results[part].rows(spec, LOGO), own) for part in shown if part != "clean"}
     paired = _parts_with_pairs(card, trials)
     for part, (worn, angles, settings) in shown.items():
-        renderer = store.renderer(worn, angles, store.evaluate_settings(**settings))
+        images, patterns = store.shown(worn.pattern, angles, store.evaluate_settings(**settings))
         place = folder / place_of(part)
         place.mkdir()
         if part == "clean":
             rows, bare = results[part].rows(spec, CLOTHING), results[part].rows(spec, NOBODY)
             for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
-                shots = draw_trial(place, renderer, trial, (CLOTHING,), detectors, own)
-                found["missed"].append(describe(renderer, trial) | shots)
+                shots = draw_trial(place, images, {CLOTHING: patterns[CLOTHING]}, trial, detectors, own)
+                found["missed"].append(describe(images, trial) | shots)
             for index in first_by(bare[~hidden(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
-                shot = write_shot(place / f"bare-{index:05d}.jpg", renderer.bare([index]), detectors, own)
-                found["alarms"].append({"background": renderer.background_names[index], "bare": shot})
+                shot = write_shot(place / f"bare-{index:05d}.jpg", images.bare([index]), detectors, own)
+                found["alarms"].append({"background": images.background_names[index], "bare": shot})
         else:
             if part in paired:
-                found["hidden"][part] = [draw_pair(place, renderer, trial, detectors, own) for trial in trials[part]]
-            views = {side: rgba for side, rgba in renderer.flat_views(320).items() if side in SIDES}
+                found["hidden"][part] = [
+                    draw_pair(place, images, patterns, trial, detectors, own) for trial in trials[part]
+                ]
+            flat = flat_views(store.split.unseen, worn.pattern, 320)
+            views = {side: rgba for side, rgba in flat.items() if side in SIDES}
             flat = {side: write_flat(place, side, rgba) for side, rgba in views.items()}
             found["cloaks"].append({"part": part} | flat)
     return found

@@ -19,10 +19,11 @@ from torch import Tensor
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.detector.scoring import max_person_score, person_boxes
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.statistics import hidden, share
 from cloak_core.core.evaluation.trials import complete
+from cloak_core.core.images import ImageSet
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import save_picture
 
 BODIES = 3
@@ -36,20 +37,25 @@ SOFT, PAPER = "#59636e", "#ffffff"
 
 @torch.no_grad()
 def write_pictures(
-    folder: Path, renderer: EvaluationRenderer, results: Results, detectors: Mapping[str, Detector], threshold: float
+    folder: Path,
+    images: ImageSet,
+    patterns: Mapping[str, Pattern],
+    results: Results,
+    detectors: Mapping[str, Detector],
+    threshold: float,
 ) -> dict:
     """Write an evaluation's pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
 
     `gallery`: the images of `gallery_trials`, in own clothing and cloaked;
     `failures`: per detector, the cloaked images with the highest scores above the threshold; `worst`: per detector, of
     the bodies that the cloak hides least often the image with the highest score, and its success; `controls`: one image
-    under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
+    in every pattern.
     """
-    pair = lambda trial: draw_pair(folder, renderer, trial, detectors, threshold)
-    trials = complete(renderer.trials)
+    pair = lambda trial: draw_pair(folder, images, patterns, trial, detectors, threshold)
+    trials = complete(images.trials)
     shown = gallery_trials(trials)
     middle = shown[len(shown) // (2 * trials.loc[shown, "pose"].nunique())]
-    controls = draw_trial(folder, renderer, middle, results.controls, detectors, threshold)
+    controls = draw_trial(folder, images, patterns, middle, detectors, threshold)
     failures, worst = {}, {}
     for spec in results.detectors:
         rows = results.rows(spec, LOGO)
@@ -59,8 +65,7 @@ def write_pictures(
         "gallery": [pair(trial) for trial in shown],
         "failures": failures,
         "worst": worst,
-        "controls": describe(renderer, middle) | {"images": controls},
-        "flat": {side: write_flat(folder, side, rgba) for side, rgba in renderer.flat_views().items()},
+        "controls": describe(images, middle) | {"images": controls},
     }
 
 
@@ -104,45 +109,49 @@ def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]
     return [(trial, success) for success, _, trial in sorted(found)[:WORST] if success < 1]
 
 
-def describe(renderer: EvaluationRenderer, trial: int) -> dict:
+def describe(images: ImageSet, trial: int) -> dict:
     """Say what one trial shows, as plain values; None for what its view does not have."""
-    row = renderer.trials.loc[trial]
+    row = images.trials.loc[trial]
     known = lambda name: None if pd.isna(row.get(name)) else float(row[name])
     named = lambda names, name: names[int(row[name])] if 0 <= row.get(name, -1) < len(names) else None
     return {
         "trial": int(trial),
-        "body": named(renderer.body_names, "pose"),
+        "body": named(images.body_names, "pose"),
         "angle": known("angle"),
         "distance": None if known("distance") is None else round(known("distance"), 4),
-        "background": named(renderer.background_names, "background"),
+        "background": named(images.background_names, "background"),
     }
 
 
 def draw_pair(
-    folder: Path, renderer: EvaluationRenderer, trial: int, detectors: Mapping[str, Detector], threshold: float
+    folder: Path,
+    images: ImageSet,
+    patterns: Mapping[str, Pattern],
+    trial: int,
+    detectors: Mapping[str, Detector],
+    threshold: float,
 ) -> dict:
     """Write one trial in own clothing and cloaked; return what the pictures show and what is found in them."""
-    shots = draw_trial(folder, renderer, trial, (CLOTHING, LOGO), detectors, threshold)
-    return describe(renderer, trial) | shots
+    pair = {name: patterns[name] for name in (CLOTHING, LOGO)}
+    return describe(images, trial) | draw_trial(folder, images, pair, trial, detectors, threshold)
 
 
 @torch.no_grad()
 def draw_trial(
     folder: Path,
-    renderer: EvaluationRenderer,
+    images: ImageSet,
+    patterns: Mapping[str, Pattern],
     trial: int,
-    controls: Sequence[str],
     detectors: Mapping[str, Detector],
     threshold: float,
 ) -> dict[str, dict]:
-    """Write one trial under these controls; return by control the file and what each detector reports of its person."""
-    views = renderer.views([trial])
-    images = renderer.compose(views, [trial], controls)
+    """Write one trial in these patterns; return by pattern the file and what each detector reports of its person."""
+    views = images.views([trial], next(iter(patterns.values())))
     shots = {}
-    for control, image in zip(controls, images, strict=True):
-        about = {spec: renderer.about_person(detector(image), views, [trial]) for spec, detector in detectors.items()}
-        picture = _save(folder / f"{trial:05d}-{control}.jpg", image)
-        shots[control] = picture | _described(about, threshold)
+    for (name, _), image in zip(patterns.items(), images.compose([trial], list(patterns.values())), strict=True):
+        about = {spec: images.judged(detector(image), views, [trial])[0] for spec, detector in detectors.items()}
+        picture = _save(folder / f"{trial:05d}-{name}.jpg", image)
+        shots[name] = picture | _described(about, threshold)
     return shots
 
 

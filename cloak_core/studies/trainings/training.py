@@ -89,7 +89,11 @@ def make_job(training: Training, world: World) -> Job:
     pattern = pattern_of(settings.pattern, bodies, logo)
     techniques = Techniques.built(Setup(settings, pattern, detectors, device))
     begun = [technique.first() for technique in techniques.at("first")]
-    first = pattern.from_faces(begun[0]) if begun else first_colors(settings.optimization, pattern, bodies, settings.run.seed)
+    first = (
+        pattern.from_faces(begun[0])
+        if begun
+        else first_colors(settings.optimization, pattern, bodies, settings.run.seed)
+    )
     config = run_config(training, world.size, techniques.content())
     material = make_material(training, device)
     if not training.people or settings.photographs.people_share < 1:

@@ -15,13 +15,12 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation.controls import CLOTHING, NAMES
 from cloak_core.core.evaluation.results import CORNERS
 from cloak_core.core.pictures import save_picture
 from cloak_core.studies.report.pictures import PAPER, font, to_pil
 from cloak_core.studies.report.style import INK
 from cloak_core.studies.report.words import short_name
-from cloak_core.studies.wearing.clothes import CONTROLS
 
 COLORS = ((224, 52, 28), (30, 110, 220), (20, 150, 80), (190, 60, 190), (230, 150, 0), (0, 160, 170))
 SHEET_PEOPLE = 12
@@ -57,7 +56,7 @@ class Album:
 
     def add(self, clothes: str, person: int, image: Image.Image, boxes: pd.DataFrame) -> None:
         """Write one image, with each detector's boxes in a colour of its own; boxes: as in `Results.boxes`."""
-        if clothes not in CONTROLS:
+        if clothes not in NAMES or clothes == CLOTHING:
             picture = image.copy()
             self._draw_boxes(picture, boxes, 1.0)
             name = "before" if clothes == CLOTHING else f"after {file_name(clothes)}"

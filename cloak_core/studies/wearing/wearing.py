@@ -9,27 +9,32 @@ import numpy as np
 
 from cloak_core.core.cameras import Number
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.evaluation.controls import CLOTHING
-from cloak_core.core.evaluation.measure import OnProgress, kept_frozen, measure
+from cloak_core.core.evaluate import Patterns, measure_frozen
+from cloak_core.core.evaluation.controls import NAMES, RESAMPLED, STANDARD
+from cloak_core.core.evaluation.measure import OnProgress, check_asked
 from cloak_core.core.evaluation.results import NOBODY, Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import false_alarms, finite, side_record, success_record
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import new_folder, require_new, write_json, write_text
+from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import fit_people, those_who_fit
-from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.people import People
-from cloak_core.studies.wearing.clothes import CONTROLS, Clothes, read_clothes
+from cloak_core.studies.evaluate import mean_quality
+from cloak_core.studies.imagery import people_images
+from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.studies.wearing.pages import Album
-from cloak_core.studies.wearing.renderer import PeopleRenderer
+
+CONTROLS = (*STANDARD, RESAMPLED)
+"""What people wear beside what is judged, on shirt and trousers."""
 
 
 def wear_and_judge(
-    colors: Sequence[str | Clothes],
+    colors: Sequence[str],
     people: People,
-    detectors: Mapping[str, Detector],
+    detectors: dict[str, Detector],
     backgrounds: Backgrounds,
     out: Path | None = None,
     settings: WearSettings | None = None,
@@ -45,27 +50,26 @@ def wear_and_judge(
     Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
-    clothes = [read_clothes(color) if isinstance(color, str) else color for color in colors]
-    names = [one.name for one in clothes]
-    for name in names:
-        if names.count(name) > 1 or name in (CLOTHING, *CONTROLS):
+    check_asked(detectors)
+    patterns = {name: pattern for pattern, _, name in map(open_pattern, colors)}
+    for name in patterns:
+        if len(patterns) < len(colors) or name in NAMES:
             raise InputError(f"{name}: given twice, or called as a control is")
-    if not detectors:
-        raise InputError("--detector: none given")
+    patterns |= controls(CONTROLS, OwnClothing(clothes_cover()), settings.seed)
     if out is None:
-        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | dict(more or {})
+        return _judged(patterns, people, detectors, backgrounds, settings, on_progress, None) | dict(more or {})
     require_new(out)
     with new_folder(out) as folder:
-        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)
+        result = _judged(patterns, people, detectors, backgrounds, settings, on_progress, folder)
         result |= dict(more or {})
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
 
 
 def _judged(
-    clothes: Sequence[Clothes],
+    patterns: Patterns,
     people: People,
-    detectors: Mapping[str, Detector],
+    detectors: dict[str, Detector],
     backgrounds: Backgrounds,
     settings: WearSettings,
     on_progress: OnProgress | None,
@@ -74,12 +78,12 @@ def _judged(
     """Dress every fitted person in everything and ask every detector; also about backgrounds without people."""
     fits, points = fit_people(people), {spec: detector.operating_point for spec, detector in detectors.items()}
     people = those_who_fit(people, fits)
-    renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
-    album = None if folder is None else Album(folder, renderer.body_names, list(points.values()), list(points))
-    told = {"batch": settings.batch, "on_progress": on_progress, "on_images": album and album.add_all}
+    images = people_images(fits, backgrounds, settings, next(iter(detectors.values())).device)
+    album = None if folder is None else Album(folder, images.body_names, list(points.values()), list(points))
     bare = np.arange(min(settings.bare, len(backgrounds)))
-    with kept_frozen(detectors):
-        results = measure(renderer, detectors, tuple(renderer.clothes), bare, **told)
+    results, _ = measure_frozen(
+        images, patterns, detectors, settings, on_progress, None if album is None else album.add_all, bare
+    )
     if album is not None:
         album.write()
         write_text(folder / "scores.csv", _table(results, people))
@@ -101,12 +105,6 @@ def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:
     """Count S of contract C8 with `seen_from`: the people seen from the front, from the side and from behind."""
     rows = results.rows(spec, name)
     return success_record(results, rows, threshold) | side_record(rows, threshold)
-
-
-def mean_quality(fits: Sequence[Fit]) -> dict[str, float]:
-    """Average the quality of people's fits."""
-    qualities = [fit.quality for fit in fits]
-    return {key: round(float(np.mean([one[key] for one in qualities])), 4) for key in sorted(qualities[0])}
 
 
 def _table(results: Results, people: People) -> str:

@@ -14,9 +14,9 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
+from cloak_core.studies.imagery import people_images
+from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.trained_run import trained_against
-from cloak_core.studies.wearing.clothes import read_clothes
-from cloak_core.studies.wearing.renderer import PeopleRenderer
 
 AUTO = "@tile=auto"
 WIDTHS = (0.1, 0.15, 0.2, 0.25, 0.35, 0.5, 0.7, 1.0)
@@ -63,11 +63,11 @@ def width_curve(
     Returns "detectors" {SPEC: {METRES: {"success", "success_own"}}}, "people", "photographs", and "chosen": the width
     in metres with the largest mean of both rates over the detectors, the narrower one of equals.
     """
-    clothes = [read_clothes(color.replace(AUTO, f"@tile={metres:g}")) for metres in WIDTHS]
-    names = [one.name for one in clothes]
-    device = next(iter(detectors.values())).device
-    renderer = PeopleRenderer(fit_people(people), clothes, backgrounds, settings, device)
-    results = measure(renderer, detectors, names, batch=settings.batch, on_progress=on_progress)
+    opened = [open_pattern(color.replace(AUTO, f"@tile={metres:g}")) for metres in WIDTHS]
+    patterns = {name: pattern for pattern, _, name in opened}
+    names = list(patterns)
+    images = people_images(fit_people(people), backgrounds, settings, next(iter(detectors.values())).device)
+    results = measure(images, patterns, detectors, batch=settings.batch, on_progress=on_progress)
     rates: dict[str, dict[str, dict]] = {}
     for spec in detectors:
         rates[spec] = {}
