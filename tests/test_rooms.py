@@ -14,13 +14,14 @@ MAY_IMPORT = {
     "jobs": {"files"},
     "exchange": {"files"},
     "core": {"files", "exchange"},
+    "patterns": {"files", "exchange", "core"},
     "zoo": {"files", "exchange", "core"},
     "sources": {"files", "jobs", "exchange", "core"},
     "detectors": {"files", "exchange", "core", "sources"},
     "techniques": {"files", "exchange", "core", "sources", "zoo"},
-    "studies": {"files", "jobs", "exchange", "core", "zoo", "sources", "detectors"},
-    "products": {"files", "exchange", "core", "sources", "studies"},
-    "experiments": {"files", "exchange", "core", "sources", "detectors", "studies"},
+    "studies": {"files", "jobs", "exchange", "core", "patterns", "zoo", "sources", "detectors"},
+    "products": {"files", "exchange", "core", "patterns", "sources", "studies"},
+    "experiments": {"files", "exchange", "core", "patterns", "sources", "detectors", "studies"},
 }
 """Nobody imports `experiments` and `bench` but the commands; `commands` are imported by the command line alone.
 

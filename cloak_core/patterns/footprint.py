@@ -28,7 +28,7 @@ def squares_under(
     rows: int,
     columns: int,
 ) -> SparseMap:
-    """Find the squares under footprints, with their shares: a map places x squares, whose rows add up to 1 or are empty.
+    """Find the squares under footprints and their shares: places x squares, rows add up to 1 or are empty.
 
     at: middles, metres right and down on the cloth; extent: width and height, metres. is_worn: places that show the
     cloth at all. square: width and height of a square, metres; the cloth of `rows` x `columns` squares repeats.

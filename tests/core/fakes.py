@@ -10,8 +10,8 @@ from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.logo import Logo, make_logo
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.technique import Setup, Techniques
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 
 SIDE = 4
@@ -148,5 +148,5 @@ def techniques_of(
 ) -> Techniques:
     """The techniques that the settings have on, for the front of a box."""
     bodies = bodies or box_bodies()
-    worn = Worn.of(settings.pattern, bodies, front_logo(bodies))
-    return Techniques.built(Setup(settings, worn, detectors, torch.device("cpu")))
+    pattern = pattern_of(settings.pattern, bodies, front_logo(bodies))
+    return Techniques.built(Setup(settings, pattern, detectors, torch.device("cpu")))

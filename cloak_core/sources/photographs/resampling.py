@@ -79,6 +79,8 @@ class Kernel:
 
 def resample(picture: Float32[Tensor, "H W 3"], down: Kernel, across: Kernel) -> Float32[Tensor, "h w 3"]:
     """Filter a picture along both axes."""
+    if not len(down.first) or not len(across.first):
+        return picture.new_zeros(len(down.first), len(across.first), 3)
     if use_loops(picture.device):
         result = np.empty((len(down.first), len(across.first), 3), np.float32)
         _resample(picture.contiguous().numpy(), down.first, down.weight, across.first, across.weight, result)
@@ -89,6 +91,8 @@ def resample(picture: Float32[Tensor, "H W 3"], down: Kernel, across: Kernel) ->
 
 def spread_back(upstream: Float32[Tensor, "h w 3"], down: Kernel, across: Kernel) -> Float32[Tensor, "H W 3"]:
     """The transpose of `resample`: bring a gradient of its result back to the picture."""
+    if not len(down.first) or not len(across.first):
+        return upstream.new_zeros(down.count, across.count, 3)
     if use_loops(upstream.device):
         result = np.zeros((down.count, across.count, 3), np.float32)
         _spread(upstream.contiguous().numpy(), down.first, down.weight, across.first, across.weight, result)
@@ -128,7 +132,7 @@ class Resampling:
 
     def adjoint(self, upstream: Float[Tensor, "R 3"]) -> Float[Tensor, "P 3"]:
         """See `LinearMap`."""
-        picture = spread_back(upstream.view(len(self.down.first), -1, 3), self.down, self.across)
+        picture = spread_back(upstream.reshape(len(self.down.first), len(self.across.first), 3), self.down, self.across)
         return picture.view(-1, 3).index_select(0, self.pixels) * self.light.unsqueeze(1)
 
     def __matmul__(self, other: SparseMap) -> Chain | SparseMap:

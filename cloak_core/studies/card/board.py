@@ -11,6 +11,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from cloak_core.core.evaluate import MEASUREMENT_VERSION
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 from cloak_core.files.writing import written
