@@ -91,12 +91,14 @@ class SparseMap:
     is_identity: bool = False
     has_own_columns: bool = False
     """Whether entry e is in column e, so that composing is a gather of the other map's rows."""
+    is_whole: bool = False
+    """Whether each row adds up to 1 or is empty."""
 
     @staticmethod
     def identity(count: int, device: torch.device | str = "cpu") -> SparseMap:
         """Make the map that changes nothing."""
         rows = torch.arange(count + 1, device=device)
-        return SparseMap(rows, rows[:-1], torch.ones(count, device=device), count, is_identity=True)
+        return SparseMap(rows, rows[:-1], torch.ones(count, device=device), count, is_identity=True, is_whole=True)
 
     @staticmethod
     def empty(height: int, width: int = 0, device: torch.device | str = "cpu") -> SparseMap:
@@ -173,6 +175,8 @@ class SparseMap:
 
     def row_sums(self) -> Float[Tensor, " R"]:
         """Sum the weights of each row."""
+        if self.is_whole:
+            return (self.crow.diff() > 0).to(self.weight.dtype)
         return self.apply(self.weight.new_ones(self.width, 1))[:, 0]
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> SparseMap:

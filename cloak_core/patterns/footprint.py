@@ -37,7 +37,7 @@ def squares_under(
     high = low + (extent / square).clamp(min=LEAST_SQUARES)
     if use_loops(at.device):
         made = _squares(*arrays(low, high, is_worn), columns, rows, MOST_SQUARES)
-        return SparseMap(*map(torch.from_numpy, made), rows * columns)
+        return SparseMap(*map(torch.from_numpy, made), rows * columns, is_whole=True)
     count = (high.ceil() - low.floor()).clamp(max=MOST_SQUARES).to(torch.int64) * is_worn
     per_row = count[0] * count[1]
     row = torch.repeat_interleave(per_row)
@@ -47,7 +47,7 @@ def squares_under(
     step_down = torch.div(place, across, rounding_mode="floor")
     column, width = _steps(low[0], high[0], count[0], row, place - step_down * across)
     line, height = _steps(low[1], high[1], count[1], row, step_down)
-    return SparseMap(crow, line % rows * columns + column % columns, width * height, rows * columns)
+    return SparseMap(crow, line % rows * columns + column % columns, width * height, rows * columns, is_whole=True)
 
 
 def _steps(
@@ -79,17 +79,20 @@ def _squares(low, high, is_worn, columns, lines, most):
         if is_worn[p]:
             crow[p + 1] += _count(low[0, p], high[0, p], most) * _count(low[1, p], high[1, p], most)
     square, part = np.empty(crow[-1], np.int64), np.empty(crow[-1], np.float32)
+    column, width = np.empty(most, np.int64), np.empty(most, np.float32)
     at = 0
     for p in range(low.shape[1]):
         if not is_worn[p]:
             continue
         across, down = _count(low[0, p], high[0, p], most), _count(low[1, p], high[1, p], most)
+        for x in range(across):
+            number, width[x] = _along(low[0, p], high[0, p], across, x, most)
+            column[x] = number % columns
         for y in range(down):
             line, height = _along(low[1, p], high[1, p], down, y, most)
             first = line % lines * columns
             for x in range(across):
-                column, width = _along(low[0, p], high[0, p], across, x, most)
-                square[at], part[at] = first + column % columns, width * height
+                square[at], part[at] = first + column[x], width[x] * height
                 at += 1
     return crow, square, part
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 from scipy.ndimage import distance_transform_edt
 
 from cloak_core.core.cameras import Camera, Number
 from cloak_core.core.view import View
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.sources.photographs.landmarks import INDEX, Landmarks
@@ -71,6 +72,12 @@ class Fit:
     def rest(self) -> Float[np.ndarray, "P 3"]:
         """The point of the body at rest that each pixel shows, metres; beyond the body, moved on as the pixel is."""
         return _at_rest(self.posed, body_rig(), self.person.shape[1], self.pixels, self.lender, self.main)
+
+    @cached_property
+    def on_cloth(self) -> Float32[np.ndarray, "2 P"]:
+        """Where each pixel lies on a cloth that the clothes are cut of: metres right and down."""
+        places = cloth_coordinates(self.rest, body_rig().normals[self.main])
+        return np.ascontiguousarray(places.T, np.float32)
 
     @cached_property
     def identity(self) -> str:

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor
 
 from cloak_core.core.linear import Chain, SparseMap
@@ -39,19 +39,20 @@ class Kernel:
         if mirror:
             centre = centre[::-1]
         taps = int(np.ceil(2 * reach)) + 1
-        first = np.floor(centre - reach).astype(int) + 1
-        column = first[:, None] + np.arange(taps)
+        column = np.floor(centre - reach).astype(int)[:, None] + 1 + np.arange(taps)
         weight = np.maximum(1 - np.abs(column - centre[:, None]) / reach, 0)
-        weight /= weight.sum(axis=1, keepdims=True)
-        weight[(column < 0) | (column >= count)] = 0
-        # Neighbours that do not exist weigh nothing: move them to where there are some.
-        moved = np.clip(first, 0, max(count - taps, 0))
-        shifted = np.zeros((size, min(taps, count)))
-        for tap in range(taps):
-            at = column[:, tap] - moved
-            inside = (at >= 0) & (at < shifted.shape[1])
-            shifted[np.flatnonzero(inside), at[inside]] += weight[inside, tap]
-        return Kernel(moved, shifted.astype(np.float32), count)
+        return Kernel._within(column, weight / weight.sum(axis=1, keepdims=True), count)
+
+    @staticmethod
+    def _within(column: Int64[np.ndarray, "n k"], weight: Float[np.ndarray, "n k"], count: int) -> Kernel:
+        """Drop neighbours that are not within 0 .. count - 1: rows begin where there are some instead."""
+        taps = column.shape[1]
+        first = np.clip(column[:, 0], 0, max(count - taps, 0))
+        moved = np.zeros((len(column), min(taps, count)), np.float32)
+        at = column - first[:, None]
+        row, tap = np.nonzero((at >= 0) & (at < moved.shape[1]) & (column >= 0) & (column < count))
+        moved[row, at[row, tap]] = weight[row, tap]
+        return Kernel(first, moved, count)
 
     @property
     def sums(self) -> Float32[np.ndarray, " n"]:
@@ -64,9 +65,10 @@ class Kernel:
         at = np.flatnonzero(seen)
         return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
 
-    def part(self, rows: slice) -> Kernel:
-        """Take the kernel of some of the image's pixels."""
-        return Kernel(self.first[rows], self.weight[rows], self.count)
+    def part(self, rows: slice, low: int, high: int) -> Kernel:
+        """Take the kernel of some of the image's pixels, for the photograph's from `low` to `high` - 1."""
+        column = self.first[rows, None] + np.arange(self.weight.shape[1])
+        return Kernel._within(column - low, self.weight[rows], high - low)
 
     @cached_property
     def dense(self) -> Float32[Tensor, "n count"]:
@@ -83,7 +85,8 @@ def resample(picture: Float32[Tensor, "H W 3"], down: Kernel, across: Kernel) ->
         return picture.new_zeros(len(down.first), len(across.first), 3)
     if use_loops(picture.device):
         result = np.empty((len(down.first), len(across.first), 3), np.float32)
-        _resample(picture.contiguous().numpy(), down.first, down.weight, across.first, across.weight, result)
+        flat = picture.reshape(len(picture), -1).contiguous().numpy()
+        _resample(flat, down.first, down.weight, across.first, across.weight, result)
         return torch.from_numpy(result)
     down, across = (kernel.dense.to(picture.device) for kernel in (down, across))
     return torch.einsum("yh,hwc,xw->yxc", down, picture, across)
@@ -94,11 +97,41 @@ def spread_back(upstream: Float32[Tensor, "h w 3"], down: Kernel, across: Kernel
     if not len(down.first) or not len(across.first):
         return upstream.new_zeros(down.count, across.count, 3)
     if use_loops(upstream.device):
-        result = np.zeros((down.count, across.count, 3), np.float32)
+        result = np.zeros((down.count, across.count * 3), np.float32)
         _spread(upstream.contiguous().numpy(), down.first, down.weight, across.first, across.weight, result)
-        return torch.from_numpy(result)
+        return torch.from_numpy(result).view(down.count, across.count, 3)
     down, across = (kernel.dense.to(upstream.device) for kernel in (down, across))
     return torch.einsum("yh,yxc,xw->hwc", down, upstream, across)
+
+
+def photograph(
+    image: UInt8[np.ndarray, "H W 3"],
+    left: Float32[Tensor, "H W"],
+    down: Kernel,
+    across: Kernel,
+    padding: float,
+    pixels: Int64[Tensor, " R"],
+) -> Float32[Tensor, "3 R"]:
+    """Resample what is left of a photograph, [0, 1]; grey of `padding` beyond its border.
+
+    pixels: in which order the image's are given.
+    """
+    if use_loops(left.device):
+        dimmed = torch.empty(image.shape[0], 3 * image.shape[1])
+        _dimmed(image, left.numpy(), dimmed.numpy())
+        picture = dimmed.view(*image.shape)
+    else:
+        picture = torch.from_numpy(image).to(left.device).float().mul_(left.div(255).unsqueeze(2))
+    shown = resample(picture, down, across)
+    inside = torch.outer(torch.from_numpy(down.sums), torch.from_numpy(across.sums))
+    if inside.min() < 1 - 1e-6:
+        shown.add_((padding * (1 - inside)).to(left.device).unsqueeze(2))
+    shown = shown.view(-1, 3)
+    if not use_loops(left.device):
+        return shown.index_select(0, pixels).T.contiguous()
+    ordered = torch.empty(3, len(pixels))
+    _gather(shown.numpy(), pixels.numpy(), ordered.numpy())
+    return ordered
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +139,7 @@ class Resampling:
     """A `LinearMap` from the P pixels of a person in a photograph to a rectangle of the image."""
 
     pixels: Int64[Tensor, " P"]
-    """Flat in the photograph."""
+    """Flat in the part of the photograph that the kernels see."""
     light: Float32[Tensor, " P"]
     """What colours on each are multiplied by."""
     down: Kernel
@@ -144,51 +177,80 @@ class Resampling:
         return Resampling(self.pixels.to(device), self.light.to(device), self.down, self.across)
 
 
+_TOGETHER = 8
+"""Rows of the image that are made together: as many as a vector register has lanes."""
+
+
 @loop
 def _resample(picture, y_first, y_weight, x_first, x_weight, result):
-    width = picture.shape[1]
-    low, high = x_first.min(), x_first.max() + x_weight.shape[1]
-    line = np.empty((width, 3), np.float32)
-    for y in range(len(y_first)):
-        line[low:high] = 0
-        for tap in range(y_weight.shape[1]):
-            part = y_weight[y, tap]
-            if part == 0:
-                continue
-            source = picture[y_first[y] + tap]
-            for x in range(low, high):
-                for channel in range(3):
-                    line[x, channel] += part * source[x, channel]
+    """picture: [H, W * 3]; result: [h, w, 3]. Down first, then across, some rows of the image at once."""
+    low, high = 3 * x_first.min(), 3 * (x_first.max() + x_weight.shape[1])
+    line = np.empty(picture.shape[1], np.float32)
+    lines = np.zeros((picture.shape[1], _TOGETHER), np.float32)
+    total = np.empty((3, _TOGETHER), np.float32)
+    for start in range(0, len(y_first), _TOGETHER):
+        count = min(_TOGETHER, len(y_first) - start)
+        for k in range(count):
+            line[low:high] = 0
+            for tap in range(y_weight.shape[1]):
+                part = y_weight[start + k, tap]
+                if part != 0:
+                    source = picture[y_first[start + k] + tap]
+                    for at in range(low, high):
+                        line[at] += part * source[at]
+            for at in range(low, high):
+                lines[at, k] = line[at]
         for x in range(len(x_first)):
-            first = x_first[x]
-            red = green = blue = np.float32(0)
+            total[:] = 0
             for tap in range(x_weight.shape[1]):
-                part = x_weight[x, tap]
-                red += part * line[first + tap, 0]
-                green += part * line[first + tap, 1]
-                blue += part * line[first + tap, 2]
-            result[y, x, 0], result[y, x, 1], result[y, x, 2] = red, green, blue
+                part, first = x_weight[x, tap], 3 * (x_first[x] + tap)
+                for channel in range(3):
+                    for k in range(_TOGETHER):
+                        total[channel, k] += part * lines[first + channel, k]
+            for k in range(count):
+                for channel in range(3):
+                    result[start + k, x, channel] = total[channel, k]
 
 
 @loop
 def _spread(upstream, y_first, y_weight, x_first, x_weight, result):
-    low, high = x_first.min(), x_first.max() + x_weight.shape[1]
-    line = np.empty((result.shape[1], 3), np.float32)
-    for y in range(len(y_first)):
-        line[low:high] = 0
+    """upstream: [h, w, 3]; result: [H, W * 3], zeros. Across first, then down, some rows of the image at once."""
+    low, high = 3 * x_first.min(), 3 * (x_first.max() + x_weight.shape[1])
+    lines = np.empty((result.shape[1], _TOGETHER), np.float32)
+    given = np.zeros((3, _TOGETHER), np.float32)
+    for start in range(0, len(y_first), _TOGETHER):
+        count = min(_TOGETHER, len(y_first) - start)
+        lines[low:high] = 0
         for x in range(len(x_first)):
-            red, green, blue = upstream[y, x, 0], upstream[y, x, 1], upstream[y, x, 2]
-            first = x_first[x]
-            for tap in range(x_weight.shape[1]):
-                part = x_weight[x, tap]
-                line[first + tap, 0] += part * red
-                line[first + tap, 1] += part * green
-                line[first + tap, 2] += part * blue
-        for tap in range(y_weight.shape[1]):
-            part = y_weight[y, tap]
-            if part == 0:
-                continue
-            target = result[y_first[y] + tap]
-            for x in range(low, high):
+            for k in range(count):
                 for channel in range(3):
-                    target[x, channel] += part * line[x, channel]
+                    given[channel, k] = upstream[start + k, x, channel]
+            for tap in range(x_weight.shape[1]):
+                part, first = x_weight[x, tap], 3 * (x_first[x] + tap)
+                for channel in range(3):
+                    for k in range(_TOGETHER):
+                        lines[first + channel, k] += part * given[channel, k]
+        for k in range(count):
+            for tap in range(y_weight.shape[1]):
+                part = y_weight[start + k, tap]
+                if part != 0:
+                    target = result[y_first[start + k] + tap]
+                    for at in range(low, high):
+                        target[at] += part * lines[at, k]
+
+
+@loop
+def _gather(image, pixels, ordered):
+    for n in range(len(pixels)):
+        for channel in range(3):
+            ordered[channel, n] = image[pixels[n], channel]
+
+
+@loop
+def _dimmed(image, left, result):
+    """What is left of each pixel of a photograph, in [0, 1]."""
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            part = left[y, x] / np.float32(255)
+            for channel in range(3):
+                result[y, 3 * x + channel] = np.float32(image[y, x, channel]) * part

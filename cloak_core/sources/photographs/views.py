@@ -18,11 +18,10 @@ from cloak_core.core.cameras import Number
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.places import Places
 from cloak_core.core.view import BakedView, Subject
-from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.sources.photographs.choosing import Box
 from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.resampling import Kernel, Resampling, resample
-from cloak_core.sources.photographs.rig import body_rig, faces_on_rig
+from cloak_core.sources.photographs.resampling import Kernel, Resampling, photograph, resample
+from cloak_core.sources.photographs.rig import faces_on_rig
 
 PADDING = 0.5
 """Grey beyond the photograph's border."""
@@ -106,7 +105,7 @@ def places_of(fit: Fit, position: Int64[np.ndarray, " T"], count: int, jitter: F
     A pixel sees a square of cloth of its own size at the scale of the fit, wider and taller as the fit may err.
     """
     stretch = np.array(jitter.stretch, np.float32)[:, None]
-    at = cloth_coordinates(fit.rest, body_rig().normals[fit.main]).T.astype(np.float32) * stretch
+    at = fit.on_cloth * stretch
     extent = np.broadcast_to(stretch / np.float32(fit.scale), at.shape).copy()
     face = torch.from_numpy(position[fit.main])
     lay = partial(shares_of, fit, position, count, jitter)
@@ -126,12 +125,10 @@ class PhotographView(BakedView):
         """See `BakedView`: what a pixel of the photograph wears hides that share of it."""
         device, (down, across) = self.pixels.device, self.kernels
         left = torch.ones(self.fit.person.shape, device=device)
-        left.view(-1)[self.map.pixels] -= worn.row_sums()
-        photograph = torch.from_numpy(self.fit.person.image).to(device).float().div_(255).mul_(left.unsqueeze(2))
-        beyond = PADDING * (1 - torch.outer(*(torch.from_numpy(kernel.sums) for kernel in (down, across))))
-        image = resample(photograph, down, across) + beyond.to(device).unsqueeze(2)
+        left.view(-1)[torch.from_numpy(self.fit.pixels).to(device)] -= worn.row_sums()
+        base = photograph(self.fit.person.image, left, down, across, PADDING, self.pixels)
         own = {field.name: getattr(self, field.name) for field in fields(BakedView)}
-        return BakedView(**own | {"base_color": image.view(-1, 3).index_select(0, self.pixels).T.contiguous()})
+        return BakedView(**own | {"base_color": base})
 
     @property
     def seen(self) -> Float32[Tensor, "P 3"]:
@@ -157,14 +154,16 @@ def photograph_view(
     down = Kernel.of(framing.y, framing.side, framing.size, height, framing.softness)
     across = Kernel.of(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
     y, x = np.divmod(fit.pixels, width)
-    rows, columns = down.reached(y.min(), y.max() + 1), across.reached(x.min(), x.max() + 1)
+    tall, wide = (y.min(), y.max() + 1), (x.min(), x.max() + 1)
+    rows, columns = down.reached(*tall), across.reached(*wide)
     size = framing.size
     number = np.arange(size * size).reshape(size, size)
     worn = np.zeros((size, size), bool)
     worn[rows, columns] = True
     light = (fit.shading**jitter.folds * jitter.exposure).astype(np.float32)
-    parts = down.part(rows), across.part(columns)
-    resampling = Resampling(torch.from_numpy(fit.pixels), torch.from_numpy(light), *parts)
+    pixels = (y - tall[0]) * (wide[1] - wide[0]) + x - wide[0]
+    parts = down.part(rows, *tall), across.part(columns, *wide)
+    resampling = Resampling(torch.from_numpy(pixels), torch.from_numpy(light), *parts)
     subject = Subject(
         framing.box(fit.person.box),
         tuple(framing.box(box) for box in fit.person.others),
