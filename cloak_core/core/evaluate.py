@@ -64,13 +64,17 @@ def measure_frozen(
 
     controls: what is measured, the trained colours first; None: the settings' controls.
     """
-    # Of more backgrounds than are looked at, a draw by the seed.
-    order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(renderer.background_names))
-    bare = np.sort(order[: settings.bare])
+    bare = bare_backgrounds(len(renderer.background_names), settings)
     controls = controls or all_controls(settings)
     with kept_frozen(detectors) as hashes:
         results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
     return results, hashes
+
+
+def bare_backgrounds(count: int, settings: EvaluateSettings) -> np.ndarray:
+    """Choose which of `count` backgrounds are looked at with nobody in front: of too many, a draw by the seed."""
+    order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(count)
+    return np.sort(order[: settings.bare])
 
 
 def detector_facts(detectors: Mapping[str, Detector]) -> dict:

@@ -104,7 +104,7 @@ def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]
     return [(trial, success) for success, _, trial in sorted(found)[:WORST] if success < 1]
 
 
-def describe(renderer: EvaluationRenderer, trial: int) -> dict:
+def describe(renderer: EvaluationRenderer | Results, trial: int) -> dict:
     """Say what one trial shows, as plain values; None for what its view does not have."""
     row = renderer.trials.loc[trial]
     known = lambda name: None if pd.isna(row.get(name)) else float(row[name])
