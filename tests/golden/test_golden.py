@@ -32,7 +32,7 @@ GOLDEN = Path(__file__).with_name("golden.json")
 WRITING = bool(os.environ.get("CLOAK_WRITE_GOLDEN"))
 FIGURES, ROUGH = 1.5e-6, 1.5e-4
 """How far a figure may be off, relative where it is above 1; and one that is written with at most four digits."""
-LEFT_OUT = ("seconds", "time", "versions", "made", "ci95", "by_")
+LEFT_OUT = ("seconds", "time", "versions", "ci95", "by_")
 """Beginnings of keys: times, how it was made, and what follows from the figures beside it."""
 
 TINY = replace(protocol.QUICK, steps=6, front_step=20, images_per_view=1, clean_images=16, bare=8, people=4)
@@ -137,7 +137,7 @@ def figures(value: object) -> object:
     """Keep the numbers of a record (and None, which says that there is none)."""
     if isinstance(value, dict):
         kept = {k: figures(v) for k, v in value.items() if not (isinstance(v, str) or k.startswith(LEFT_OUT))}
-        return {k: v for k, v in kept.items() if v not in ({}, [])}
+        return {k: v for k, v in kept.items() if k != "made" and v not in ({}, [])}
     if isinstance(value, list):
         return [figures(v) for v in value if not isinstance(v, str)]
     return round(value, 7) if isinstance(value, float) else value
