@@ -19,6 +19,7 @@ from cloak_core.core.logo import Logo, load_logo
 from cloak_core.core.loop import RunResult
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.settings.values import Angles, from_plain
+from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.naming import full_spec
 from cloak_core.detectors.objects import Given, as_detector, as_detectors
 from cloak_core.exchange.bodies import Bodies
@@ -43,6 +44,7 @@ Named = str | os.PathLike
 """What the command line takes: a path, or a spec such as sample:train."""
 
 
+@plain_torch()
 def train(
     scene: Bodies | Named | None,
     logo: Logo | Named,
@@ -99,6 +101,7 @@ def train(
     )
 
 
+@plain_torch()
 def evaluate(
     run: RunResult | Named,
     scene: Bodies | Named | None = None,
@@ -189,6 +192,7 @@ def _backdrops(backgrounds: Backgrounds | Named) -> Backgrounds:
     return backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds)
 
 
+@plain_torch()
 def film(
     run: RunResult | Named,
     out: Named,
@@ -219,6 +223,7 @@ def film(
     return make_film(pattern, bodies, behind, judges, Path(out), settings, on_progress)
 
 
+@plain_torch()
 def wear(
     colors: Named | Sequence[Named],
     people: People | Named,

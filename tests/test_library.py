@@ -1,14 +1,18 @@
 """The library as a notebook uses it: imported lightly, called twice and from a thread, the process left as it was."""
 
+import contextlib
 import ctypes
 import json
 import logging
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import warnings
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +139,46 @@ def test_what_is_given_by_name_is_recorded_and_the_command_line_does_the_same(tm
     assert (
         records[0]["inputs"] == records[1]["inputs"] == dict(zip(("scene", "logo", "backgrounds"), names, strict=True))
     )
+
+
+@contextlib.contextmanager
+def double_precision() -> Iterator[None]:
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
+
+
+SURROUNDINGS = {
+    "no_grad": torch.no_grad,
+    "inference_mode": torch.inference_mode,
+    "autocast": lambda: torch.autocast("cpu", torch.bfloat16),
+    "float64": double_precision,
+    "another device": lambda: torch.device("meta"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SURROUNDINGS)
+def test_what_surrounds_a_call_changes_no_bit(name: str, run, tmp_path: Path) -> None:
+    bodies, look = box_bodies(), lambda: cloak_core.evaluate(run, bodies, noise_backgrounds(3), "builtin@64", **LOOK)
+    shutil.rmtree(run.out / "evaluation", ignore_errors=True)
+    expected, outside = look(), TinyDetector()
+    shutil.rmtree(run.out / "evaluation")
+    train_here = partial(cloak_core.train, bodies, front_logo(bodies), backgrounds=noise_backgrounds(), **HOW)
+    with SURROUNDINGS[name]():
+        before = torch.get_default_dtype(), torch.is_inference_mode_enabled(), torch.is_autocast_enabled("cpu")
+        assert np.array_equal(train_here(detectors=outside, out=tmp_path / "a").colors, run.colors)
+        assert look()["detectors"] == expected["detectors"]
+        if name != "another device":  # where no module has any numbers
+            assert train_here(detectors=[TinyDetector(), Mine()], out=tmp_path / "b").step == 4
+        assert (
+            torch.get_default_dtype(),
+            torch.is_inference_mode_enabled(),
+            torch.is_autocast_enabled("cpu"),
+        ) == before
 
 
 def test_logos_from_files_and_regions(tmp_path: Path) -> None:

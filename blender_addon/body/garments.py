@@ -5,7 +5,7 @@ An export numbers the faces of all objects through, the body's first. Its record
 trained colours find their garments again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -17,7 +17,7 @@ from ..blender.cloth import Cloth
 from ..blender.evaluated import read_surface
 from ..blender.faces import logo_mask
 from ..blender.marks import COLORS
-from ..blender.mesh_arrays import box_of, read, require_object_mode, to_world, topology
+from ..blender.mesh_arrays import box_of, face_count, read, require_object_mode, to_world, topology
 from ..files.errors import InputError
 from ..session import session
 from .objects import below
@@ -71,15 +71,44 @@ def _seen_on(obj: bpy.types.Object) -> list[bpy.types.Object]:
 def on_body(obj: bpy.types.Object, among: set | None) -> set:
     """Every object with a surface, among some (None for all), that is tied to the body or lies on it; seen or not."""
     objects = bpy.context.view_layer.objects if among is None else list(among)
-    armature, worn = armature_of(obj), below(obj, among)
-    if armature is not None:
-        worn.update(o for o in objects if armature_of(o) == armature)
+    armature, own = armature_of(obj), below(obj, among)
     # A copy of the body lies where the body does, and is not worn by it.
     copy_of = lambda o: o.type == "MESH" and len(o.data.polygons) == len(obj.data.polygons)
-    worn.update(o for o in objects_near(objects, box_of(obj)) if not copy_of(o))
-    worn.discard(obj)
+    worn = {o for o in objects_near(objects, box_of(obj)) if not copy_of(o) and not _rigged_apart(o, armature)}
+    if armature is not None:
+        worn.update(o for o in objects if armature_of(o) == armature)
+    worn = own | {o for o in worn if not any(map(copy_of, _parents(o)))} - {obj}
     shows = lambda o: len(o.data.polygons) if o.type == "MESH" else o.instance_type == "COLLECTION"
     return {o for o in worn if o.type in SURFACES or shows(o)}
+
+
+def _rigged_apart(obj: bpy.types.Object, armature: bpy.types.Object | None) -> bool:
+    """Whether an object belongs to another armature than a body's: to another body, wherever that stands."""
+    return armature is not None and armature_of(obj) not in (None, armature)
+
+
+def _parents(obj: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    while (obj := obj.parent) is not None:
+        yield obj
+
+
+def pieces_of(obj: bpy.types.Object, garments: list[Garment]) -> list[bpy.types.Object]:
+    """The objects that wear a run's garments: of what this body wears, those with their faces.
+
+    Names decide between pieces of equal faces alone: those of a copied or appended character are others'.
+    """
+    worn, own, pieces = session.kept(on_body, obj), below(obj, None), []
+    for garment in garments:
+        same_faces = lambda o, g=garment: o.type == "MESH" and face_count(o) == g.faces and topology(o) == g.topology
+        found = [o for o in worn if o not in pieces and same_faces(o)]
+        if not found:
+            raise InputError(
+                f"'{obj.name}' wears no '{garment.object}' with the faces of the export: bring it back, or undo its "
+                "change, or export and train again"
+            )
+        pieces.append(min(found, key=lambda o: (o not in own, o.name != garment.object, o.name)))
+        require_object_mode(pieces[-1], f"Leave {{mode}} to see the colours on '{pieces[-1].name}'")
+    return pieces
 
 
 def objects_near(objects: bpy.types.bpy_prop_collection | list, box: np.ndarray) -> list[bpy.types.Object]:
@@ -133,17 +162,18 @@ def undress(obj: bpy.types.Object) -> None:
 
 
 def write_worn(
+    pieces: list[bpy.types.Object],
     garments: list[Garment],
     ids: np.ndarray,
     values: np.ndarray,
     cloth_on: Callable[[bpy.types.Object, int], Cloth | None] | None,
 ) -> None:
-    """Write the garments' part of the colours [L, 3] of faces [L].
+    """Write the garments' part of the colours [L, 3] of faces [L] onto the pieces that wear them.
 
     cloth_on: the cloth that is worn, on an object whose faces the export numbers from the second argument on; where
     given, also assign the cloak's material.
     """
-    for obj, garment in [(_worn_object(g), g) for g in garments]:  # all of them are there, or nothing is written
+    for obj, garment in zip(pieces, garments, strict=True):
         mine = (ids >= garment.first) & (ids < garment.first + garment.faces)
         local = ids[mine] - garment.first
         worn = colors.own_face_colors(obj)
@@ -152,16 +182,6 @@ def write_worn(
         if cloth_on is not None:
             colors.dress(obj, local, cloth_on(obj, garment.first))
             colors.activate(obj, COLORS)
-
-
-def _worn_object(garment: Garment) -> bpy.types.Object:
-    obj = bpy.data.objects.get(garment.object)
-    if obj is None or obj.type != "MESH":
-        raise InputError(f"'{garment.object}' wore the logo and is gone or has another name: rename it back")
-    require_object_mode(obj, f"Leave {{mode}} to see the colours on '{obj.name}'")
-    if topology(obj) != garment.topology:
-        raise InputError(f"'{obj.name}' changed since export: undo the change, or export and train again")
-    return obj
 
 
 def faces_over(

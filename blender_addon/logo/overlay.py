@@ -21,7 +21,7 @@ from ..blender.marks import COLORS, HEATMAP
 from ..body.garments import worn_by
 from ..session import session
 from ..ui.drawing import Shape
-from ..ui.window import Hooks, redraw
+from ..ui.window import Hooks, between_strokes, redraw
 from .figures import LogoStats, logo_stats
 
 TINT = (1.0, 0.25, 0.6, 0.45)
@@ -97,6 +97,7 @@ def active_stats(obj: bpy.types.Object) -> LogoStats | None:
     return _stats.get(obj, key) if key is not None else None
 
 
+@between_strokes(REST)
 def _catch_up() -> float | None:
     """Timer: compute what was requested last, once the user pauses."""
     obj, late = bpy.context.object, [kept for kept in (_stats, _tint, _outline) if kept.wanted != kept.key]

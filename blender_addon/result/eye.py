@@ -30,7 +30,7 @@ from ..training.cloths import is_cloth
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
-from ..ui.window import Hooks, areas, main_region, redraw
+from ..ui.window import Hooks, areas, between_strokes, main_region, redraw
 from .reasons import export_worn, worn_reason
 from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
@@ -180,6 +180,7 @@ def close_eye(*_: object) -> None:
     session.eye = None
 
 
+@between_strokes(TICK_SECONDS)
 def tick() -> float | None:
     """The timer's function."""
     if session.eye is None:

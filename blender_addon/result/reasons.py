@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Why the colours of a run cannot be shown or judged, and exports of a body that wears them."""
 
+import re
 import shutil
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,8 +75,14 @@ def require_same_clothes(obj: bpy.types.Object, run: Path | None) -> None:
     """Raise `InputError` if the visible objects differ from those of the training, where the run records them."""
     done = export_of(run) if run else None
     names = done.objects if done else []
-    then, now = set(names[1:]), {o.name for o in worn_by(obj) if names}
-    if now - then:
-        raise InputError(f"{run.name} was trained without '{min(now - then)}': leave it out (step 1), or train again")
-    if then - now:
-        raise InputError(f"{run.name} was trained with '{min(then - now)}': show it again, or train again")
+    # A copied or appended character's pieces have numbers behind their names.
+    then = Counter(map(_unnumbered, names[1:]))
+    now = Counter(_unnumbered(o.name) for o in worn_by(obj) if names)
+    for name in sorted(now - then):
+        raise InputError(f"{run.name} was trained without '{name}': leave it out (step 1), or train again")
+    for name in sorted(then - now):
+        raise InputError(f"{run.name} was trained with '{name}': show it again, or train again")
+
+
+def _unnumbered(name: str) -> str:
+    return re.sub(r"\.\d{3,}$", "", name)

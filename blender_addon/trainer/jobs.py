@@ -19,7 +19,7 @@ import bpy
 
 from ..files.errors import InputError
 from ..session import session
-from ..ui.window import notify, redraw
+from ..ui.window import between_strokes, notify, redraw
 from .command_lines import cloak_command
 from .preferences import trainer
 from .program import start_process
@@ -110,8 +110,7 @@ class Job:
         if not self.running:
             return False
         code = self.code = self._process.poll()
-        if self._events is not None:
-            self.progress = read_events(self._events)
+        self.read_progress()
         if code is None:
             return True
         self.outputs.append(self._said())
@@ -121,6 +120,11 @@ class Job:
             return self.running
         self._finish(*self._verdict(code))
         return False
+
+    def read_progress(self) -> None:
+        """Read how far it is from its log of events, where it runs and has one."""
+        if self.running and self._events is not None:
+            self.progress = read_events(self._events)
 
     def _said(self) -> str:
         """What the command that has ended said on standard output; of a trainer that somebody else started, nothing."""
@@ -287,13 +291,21 @@ def waits(job: Job) -> str:
     return f", after {session.first_in(job.lane).label}" if job.state == "waiting" else ""
 
 
+def _follow() -> None:
+    """Show how far the jobs are, and leave the scene alone."""
+    for job in session.jobs:
+        job.read_progress()
+    redraw(panels_alone=True)
+
+
+@between_strokes(TICK_SECONDS, meanwhile=_follow)
 def tick() -> float | None:
     """The timer's function: seconds until it wants to be called again, None when all jobs have ended."""
     unseen = not session.panel_seen
     for job in [job for job in session.jobs if job.running]:
         job.look()
         if not job.active and unseen:
-            notify(job.message, bad=job.state == "failed" or job.is_bad_news)
+            notify(job.message)
         session.panel_seen = False
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
     for job in [job for job in session.jobs if job.state == "waiting"]:

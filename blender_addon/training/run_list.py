@@ -22,7 +22,7 @@ from ..properties import output_folder
 from ..session import session
 from ..trainer import jobs
 from ..ui import props
-from ..ui.window import redraw
+from ..ui.window import between_strokes, redraw
 from .run_states import RunState, find_runs, read_state
 from .runs import import_colors, input_folder, run_of
 
@@ -100,6 +100,7 @@ class CloakWindow(bpy.types.PropertyGroup):
     )
 
 
+@between_strokes(REFRESH_SECONDS)
 def _watch() -> float:
     """The timer's function; it goes on whatever a folder holds."""
     try:

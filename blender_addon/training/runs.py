@@ -20,7 +20,7 @@ from ..blender.blend_paths import absolute, blend_folder, first_free, portable
 from ..blender.cloth import Cloth, replace_picture
 from ..blender.marks import COLORS
 from ..blender.mesh_arrays import require_object_mode, topology
-from ..body.garments import write_worn
+from ..body.garments import pieces_of, write_worn
 from ..body.objects import object_of, refusal, require_body
 from ..exchange.cloth import CLOTH_FILE
 from ..exchange.colors import read_colors
@@ -257,23 +257,19 @@ class LiveColors:
     def write(self, context: bpy.types.Context, obj: bpy.types.Object, values: np.ndarray, dress: bool) -> None:
         """Colours [L, 3] onto the object and its garments; with `dress` their faces get the cloak's material."""
         require_same_topology(obj, self._topology)
-        cloth = self._cloth(obj) if dress else None  # before anything is written: it may be damaged
-        write_worn(self._garments, self._all, values, self._cloth if dress else None)
+        pieces = pieces_of(obj, self._garments)  # all are there and the cloth is whole, or nothing is written
+        cloth = self._cloth(obj) if dress else None
+        write_worn(pieces, self._garments, self._all, values, self._cloth if dress else None)
         self._base[self._ids] = values[self._mine]
         colors.write_face_colors(obj, COLORS, self._base)
         if dress:
             colors.dress(obj, self._ids, cloth)
             colors.show_attribute(obj, COLORS)
         else:
-            self._show_cloth(obj)
+            for image in {colors.worn_cloth(one.data)[0] for one in (obj, *pieces)} - {None}:
+                replace_picture(image, self._run / CLOTH_FILE)
         obj.cloak.worn = str(self._run)
 
     def _cloth(self, obj: bpy.types.Object, first: int = 0) -> Cloth | None:
         """The cloth that the run trains, on an object whose faces the export numbers from `first`."""
         return read_cloth(obj, self._run, exported_scene(self._run), first)
-
-    def _show_cloth(self, obj: bpy.types.Object) -> None:
-        """Show the cloth as it is now where the body or its garments wear it."""
-        pieces = [obj, *(bpy.data.objects[garment.object] for garment in self._garments)]
-        for image in {colors.worn_cloth(piece.data)[0] for piece in pieces} - {None}:
-            replace_picture(image, self._run / CLOTH_FILE)

@@ -80,5 +80,8 @@ class BodyOperator(CloakOperator):
 
 
 def push_undo(message: str) -> None:
-    """An undo step for what a timer changed, so that the next Ctrl Z does not take it along."""
-    in_window(lambda: bpy.ops.ed.undo_push(message=message))
+    """An undo step for what a timer changed, so that the next Ctrl Z does not take it along.
+
+    Other modes than Object Mode have steps of their own, between which none could be undone: there Ctrl Z stays theirs.
+    """
+    in_window(lambda: bpy.context.mode == "OBJECT" and bpy.ops.ed.undo_push(message=message))

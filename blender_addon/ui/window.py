@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's window: its viewports, what is drawn over them, its handlers, and progress at the mouse pointer."""
 
+import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import bpy
+
+NOTICE_SECONDS = 10.0
 
 
 class Hooks:
@@ -63,10 +66,53 @@ def in_window(action: Callable[[], object]) -> bool:
     return True
 
 
-def notify(message: str, bad: bool) -> None:
-    """Show a message at the mouse, until that moves away."""
-    draw = lambda popup, context: popup.layout.label(text=message)
-    in_window(lambda: bpy.context.window_manager.popup_menu(draw, title="Cloak", icon="ERROR" if bad else "CHECKMARK"))
+def tool_at_work() -> str:
+    """What the user is in the middle of: a stroke, a grab, Sculpt Mode, a render that locks the interface; "" for none.
+
+    Of Sculpt Mode the strokes cannot be undone any more (Blender 5.2 crashes) once another object has been written.
+    """
+    manager = bpy.context.window_manager
+    if manager.is_interface_locked:
+        return "Render"
+    for window in manager.windows:
+        active = window.view_layer.objects.active
+        if active is not None and active.mode == "SCULPT":
+            return "Sculpt Mode"
+        for operator in window.modal_operators:
+            looks_around = operator.bl_idname.startswith("VIEW3D_OT_") and "UNDO" not in operator.bl_options
+            if operator.bl_options & {"UNDO", "BLOCKING"} and not looks_around:
+                return operator.name
+    return ""
+
+
+def between_strokes(seconds: float, meanwhile: Callable[[], None] = lambda: None) -> Callable:
+    """Decorate a timer's function: while a tool is at work, `meanwhile` is called instead, every so many seconds.
+
+    What a stroke holds of the scene is gone after a write or an undo step in its middle, and Blender crashes.
+    """
+
+    def decorate(function: Callable[[], float | None]) -> Callable[[], float | None]:
+        @functools.wraps(function)
+        def timer() -> float | None:
+            if not tool_at_work():
+                return function()
+            meanwhile()
+            return seconds
+
+        return timer
+
+    return decorate
+
+
+def notify(message: str) -> None:
+    """Show a message in the status bar for a while; a popup at the mouse would take the next click."""
+    tell_status(message)
+    bpy.app.timers.register(_end_notice, first_interval=NOTICE_SECONDS)
+
+
+@between_strokes(1.0)
+def _end_notice() -> None:
+    tell_status("")
 
 
 def tell_status(words: str) -> None:

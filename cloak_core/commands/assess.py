@@ -180,6 +180,7 @@ class Assess(Splitting, Detecting, Sharing):
             out=self.out,
             seeds=size.seeds,
             seed=self.seed,
+            size=size.pixels,
             device=self.compute.device,
             command=command_line(),
         )

@@ -10,7 +10,10 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
 
-KEPT = ("logo.npy", "logo.json", "colors.npy", "events.jsonl", "cloth.png", "checkpoint", "previews", "snapshots")
+KEPT = (
+    *("material.npz", "logo.npy", "logo.json", "colors.npy", "cloth.png", "events.jsonl"),
+    *("checkpoint", "previews", "snapshots"),
+)
 """Of a run: what training wrote; what was made of it is made again."""
 
 

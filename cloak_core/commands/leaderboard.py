@@ -17,7 +17,8 @@ class Add(Detecting):
     """Check robustness cards and put them into a leaderboard's folder.
 
     Checked are format, protocol, size, versions and digests, and every figure is computed again from the rows beside
-    the card. Nothing is copied where one of the cards does not hold.
+    the card. A card is written anew, into a folder named by its content, and replaces the one of the same detector and
+    size. Nothing is written where one of the cards does not hold.
     """
 
     example = "cards/builtin --to leaderboard"
@@ -27,11 +28,9 @@ class Add(Detecting):
     to: Path = Path("leaderboard")
     """Folder of cards that is the leaderboard's source."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors that are at hand, by the cards' specs: their digests are compared, too."""
+    """Detectors that are at hand, by the cards' specs: cards are held against them, too."""
 
     def run(self) -> dict:
-        from cloak_core.core.detector.protocol import detector_record
-        from cloak_core.files.identity import sha256_record
         from cloak_core.studies.card.board import add_cards
 
         if not self.cards:
@@ -39,8 +38,7 @@ class Add(Detecting):
         self.prepare()
         named = [Path(card) for card in self.cards]
         folders = [path.parent if path.name == "card.json" else path for path in named]
-        digests = {spec: sha256_record(detector_record(one)) for spec, one in self.by_spec(self.detector).items()}
-        joined = add_cards(folders, self.to, digests)
+        joined = add_cards(folders, self.to, self.by_spec(self.detector))
         return {"added": [str(folder) for folder in joined]}
 
     def show(self, result: dict) -> None:

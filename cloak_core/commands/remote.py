@@ -34,7 +34,7 @@ from cloak_core.files.writing import write_text
 
 LOOK_SECONDS = 2.0
 UNREACHABLE = 255  # exit code, as ssh's own
-LIVE = ("config.json", "logo.npy", "logo.json", "events.jsonl", "cloth.png", "colors.npy")
+LIVE = ("config.json", "material.npz", "logo.npy", "logo.json", "events.jsonl", "cloth.png", "colors.npy")
 """Of a run folder: what is fetched while it trains."""
 OWN = (".lock", "cancel")
 """Of a run folder: what belongs to the machine it lies on."""

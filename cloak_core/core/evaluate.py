@@ -60,8 +60,7 @@ def measure_frozen(
     bare: backgrounds without people that are looked at; None: as many as the settings say, drawn by the seed.
     """
     if bare is None:
-        order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(images.background_names))
-        bare = np.sort(order[: settings.bare])
+        bare = bare_backgrounds(len(images.background_names), settings)
     more = {"batch": settings.batch, "on_progress": on_progress, "on_images": on_images}
     with kept_frozen(detectors) as hashes:
         results = measure(images, patterns, detectors, bare, **more)
@@ -85,6 +84,12 @@ def identity(
     around = {"version": MEASUREMENT_VERSION, "packages": package_versions("torch", "numpy", "numba", "pillow")}
     worn = {name: pattern.identity for name, pattern in patterns.items()}
     return sha256_record([shown, worn, list(worn), judges, asdict(settings), around])
+
+
+def bare_backgrounds(count: int, settings: EvaluateSettings) -> np.ndarray:
+    """Choose which of `count` backgrounds are looked at with nobody in front: of too many, a draw by the seed."""
+    order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(count)
+    return np.sort(order[: settings.bare])
 
 
 def detector_facts(detectors: Mapping[str, Detector]) -> dict:

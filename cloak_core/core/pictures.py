@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
+import threading
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,12 +21,16 @@ from cloak_core.files.writing import replace_file
 if TYPE_CHECKING:
     from PIL import Image
 
-MAX_PIXELS = 64 << 20
+MAX_PIXELS = 128 << 20
+"""The largest cameras of telephones have 108 million."""
 MAX_FILE_BYTES = 256 << 20
 ORIENTATION = 0x0112
 """EXIF's tag."""
 FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "GIF", "PPM", "TGA", "TIFF")
 """No other is tried: some of Pillow's formats start programs (PostScript)."""
+
+
+_warnings = threading.Lock()
 
 
 @contextlib.contextmanager
@@ -40,7 +46,7 @@ def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator
 
     data = read_bytes(path, MAX_FILE_BYTES) if data is None else data
     try:
-        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+        with _opened(io.BytesIO(data)) as picture:
             if picture.width * picture.height > MAX_PIXELS:
                 raise InputError(f"{path}: {picture.width} x {picture.height} pixels, more than any picture taken here")
             yield in_eight_bits(picture, path)
@@ -51,6 +57,15 @@ def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator
         raise InputError(f"{path}: not a readable picture (none of {', '.join(FORMATS)})") from None
     except (OSError, ValueError, SyntaxError, EOFError, struct.error, Image.DecompressionBombError) as error:
         raise InputError(f"{path}: not a readable picture ({first_line(error)})") from None
+
+
+def _opened(data: io.BytesIO) -> Image.Image:
+    """Open without Pillow's warning of pictures of more than 89 million pixels: `MAX_PIXELS` decides here."""
+    from PIL import Image
+
+    with _warnings, warnings.catch_warnings():  # which threads share
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        return Image.open(data, formats=FORMATS)
 
 
 def in_eight_bits(picture: Image.Image, path: Path) -> Image.Image:

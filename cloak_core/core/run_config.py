@@ -5,7 +5,10 @@ from pathlib import Path
 
 from cloak_core.core.settings import settings_from_record, settings_record
 from cloak_core.core.technique import discovered
+from cloak_core.files.columns import read_columns, write_columns
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_json
 
 FILES = {setting: name for technique in discovered() for setting, name in technique.files}
 """Settings of techniques that name files, and where a configuration has their content."""
@@ -31,6 +34,23 @@ DECISIVE = {
 """The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
 AROUND = ("torch", "numpy", "device", "threads", "processes")
 """What of the environment may move the last bits of a result."""
+
+MATERIAL = {
+    "scene": ("poses", "pose_sha256", "pose_shapes"),
+    "backgrounds": ("names", "identities", "files", "looks"),
+    "people": ("photographs", "licences", "pixels", "looks"),
+}
+"""Lists that grow with the material: they lie beside config.json (`files.columns`)."""
+
+
+def write_config(folder: Path, config: Mapping[str, object]) -> None:
+    """Write a run's config.json, its lists of material into a file beside it."""
+    write_json(folder / "config.json", write_columns(folder, config, MATERIAL))
+
+
+def read_config(folder: Path) -> dict:
+    """Read a run's config.json with its lists of material, which earlier versions kept in it. InputError: damaged."""
+    return read_columns(folder, read_json(folder / "config.json"))
 
 
 def decisive(config: Mapping[str, object], parts: Iterable[str] = tuple(DECISIVE)) -> dict[str, object]:

@@ -1,7 +1,7 @@
 """The folder of one training: who may write into it, what it was started with, and how it is told to stop.
 
-config.json  logo.npy + logo.json  events.jsonl  colors.npy  cloth.png (a cloth that repeats)  checkpoint/  previews/
-snapshots/  report.html  cancel
+config.json + material.npz  logo.npy + logo.json  events.jsonl  colors.npy  cloth.png (a cloth that repeats)
+checkpoint/  previews/  snapshots/  report.html  cancel
 """
 
 import contextlib
@@ -21,14 +21,13 @@ from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.detector.scoring import person_boxes
 from cloak_core.core.logo import Logo
 from cloak_core.core.pictures import save_picture
-from cloak_core.core.run_config import changes_around, check_same
+from cloak_core.core.run_config import changes_around, check_same, read_config, write_config
 from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import write_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
-from cloak_core.files.reading import read_json
-from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, write_json, written
+from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, written
 
 _log = logging.getLogger("cloak")
 
@@ -94,7 +93,7 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
     if not run.config.exists():
         raise InputError(f"{path}: not a run folder (no config.json in it)")
     with lock(path / ".lock", busy=f"{path}: another process is training in this folder"):
-        recorded = read_json(run.config)
+        recorded = read_config(path)
         check_same(recorded, config, path)
         run.changes = changes_around(recorded, config)
         if run.changes:
@@ -116,7 +115,7 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
 
 def _start(path: Path, config: dict, logo: Logo) -> None:
     with new_folder(path) as temporary:
-        write_json(temporary / "config.json", config)
+        write_config(temporary, config)
         write_face_list(temporary / "logo.npy", logo.face_ids, logo.topology)
         (temporary / "checkpoint").mkdir()
         (temporary / "previews").mkdir()

@@ -8,6 +8,7 @@ import torch
 
 from cloak_core.core.detector.devices import usable_device
 from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.naming import behind_defences, full_spec, refuse_typing_errors
@@ -17,6 +18,7 @@ from cloak_core.files.errors import InputError, first_line
 PRECISIONS = ("float32", "bfloat16", "auto")
 
 
+@plain_torch()
 def load_detector(
     spec: str,
     *,

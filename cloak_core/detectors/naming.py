@@ -23,6 +23,11 @@ BY_SUFFIX = {
 """The family that a file's suffix names."""
 INCOMPLETE = {".pth": "torchvision:NAME:{}", ".py": "python:{}:FUNCTION", ".yaml": "ultralytics:{}"}
 """Specs of files that do not say all; a description in YAML has no weights, and code is run only by its full name."""
+OTHER_FORMATS = dict.fromkeys(
+    (".torchscript", ".engine", ".mlpackage", ".mlmodel", ".ncnn", ".pb"),
+    "export the network to .onnx, or name its .pt",
+) | {".safetensors": "transformers:DIRECTORY reads it with the config.json beside it"}
+"""What to do with files of other runtimes."""
 _log = logging.getLogger("cloak")
 _said: set[str] = set()
 
@@ -47,7 +52,7 @@ def full_spec(spec: str) -> str:
         raise InputError(f"detector {spec!r}: names no family; {INCOMPLETE[suffix].format(body)}{options}?")
     family = BY_SUFFIX.get(suffix)
     if family is None:
-        raise InputError(_unknown(spec, request.family, suffix))
+        raise InputError(_unknown(spec, parts[0], request.family, suffix))
     if family in COPYLEFT and family not in _said:
         _said.add(family)
         _log.warning("%s: read through the package %s, which is %s", parts[0], family, COPYLEFT[family])
@@ -77,10 +82,11 @@ def _is_ended(one: str, other: str) -> bool:
     return longer.startswith(f"{shorter}_")
 
 
-def _unknown(spec: str, family: str, suffix: str) -> str:
+def _unknown(spec: str, file: str, family: str, suffix: str) -> str:
     if suffix and ":" not in spec:
         known = f"no detector's file ends in {suffix} ({', '.join(BY_SUFFIX)}; cloak detectors list)"
-        return f"detector {spec!r}: {known if Path(spec).exists() else 'no such file'}"
+        known += f"; {OTHER_FORMATS[suffix]}" if suffix in OTHER_FORMATS else ""
+        return f"detector {spec!r}: {known if Path(file).exists() else 'no such file'}"
     forms = " | ".join(known.spec for known in FAMILIES.values())
     known = (*FAMILIES, *DEFENCES)
     meant = suggestion(family, known)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import hashlib
 import inspect
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.maite import MaiteModel, is_maite_model
 from cloak_core.detectors.python_module import PythonDetector
@@ -25,6 +27,7 @@ PERSON = 1
 """Of torchvision's models: in COCO's numbering, and the first class of one trained on persons alone."""
 
 
+@plain_torch()
 def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
     """Make a detector of what a program has, on `device`.
 
@@ -36,7 +39,7 @@ def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
     caller's keep their mode and their gradients. InputError: none of these.
     """
     if isinstance(given, Detector):
-        return given
+        return given if all(map(_is_plain, _tensors(given))) else _copied(given)
     if isinstance(given, str):
         return load_detector(given, device=device)
     if is_maite_model(given):
@@ -105,6 +108,15 @@ def _module(module: nn.Module, named: object, device: str | torch.device) -> Pyt
     return detector.to(device).freeze()
 
 
+def _tensors(module: nn.Module) -> Iterator[Tensor]:
+    return itertools.chain(module.parameters(), module.buffers())
+
+
+def _is_plain(tensor: Tensor) -> bool:
+    """Tell whether a tensor takes part in gradients with images in float32."""
+    return not tensor.is_inference() and tensor.dtype != torch.float64
+
+
 def _torchvision(model: nn.Module) -> Detector:
     from cloak_core.detectors.torchvision_family.loading import wrapped
 
@@ -120,13 +132,18 @@ def _is_torchvision(module: nn.Module) -> bool:
 
 
 def _copied(module: nn.Module) -> nn.Module:
+    """Copy a module; what was made where float64 is the default is float32 then. InputError: it cannot be copied."""
     try:
-        return copy.deepcopy(module)
+        made = copy.deepcopy(module)
     except Exception as error:  # modules fail to be copied in their own ways
         name = type(module).__name__
         raise InputError(
             f"detectors: {name} cannot be copied ({first_line(error)}): wrap it in one that can"
         ) from error
+    for tensor in _tensors(made):
+        if tensor.dtype == torch.float64:
+            tensor.data = tensor.data.float()
+    return made
 
 
 def _code(named: object) -> str:

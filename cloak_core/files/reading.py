@@ -103,11 +103,10 @@ def read_json(path: str | os.PathLike, most_bytes: int = MAX_JSON_BYTES, most_va
 
 def parse_json(data: bytes, name: str, most_values: int = MAX_JSON_VALUES) -> dict:
     """A JSON object, none of whose integers is beyond 64 bits. `name` tells where the data come from."""
-    if sum(map(data.count, (b",", b"[", b"{"))) > most_values:
+    if len(data) > most_values and sum(map(data.count, (b",", b"[", b"{"))) > most_values:
         raise InputError(f"{name}: more values than any record taken here ({most_values:,})")
     try:
-        record = json.loads(data.decode("utf-8"))
-        _check_integers(record)
+        record = _DECODER.decode(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{name}: not valid JSON ({first_line(error)})") from None
     if not isinstance(record, dict):
@@ -134,8 +133,19 @@ def is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
+def _integer(text: str) -> int:
+    """ValueError: an integer beyond 64 bits, which neither arrays nor messages can take."""
+    value = int(text)
+    if len(text) > 18:
+        _check_integers(value)
+    return value
+
+
+_DECODER = json.JSONDecoder(parse_int=_integer)
+
+
 def _check_integers(value: object) -> None:
-    """ValueError: an integer beyond 64 bits in a record, which neither arrays nor messages can take."""
+    """ValueError: an integer beyond 64 bits in a record."""
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 64:
         raise ValueError("an integer of more than 64 bits")
     for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
@@ -151,11 +161,12 @@ def read_npy(path: str | os.PathLike) -> np.ndarray:
             raise InputError(f"{path}: not a readable .npy array ({first_line(error)})") from None
 
 
-def read_npz(path: str | os.PathLike) -> dict[str, np.ndarray]:
-    """All arrays of a .npz file; never unpickles, and refuses what would unpack to more than `MAX_ARRAY_BYTES`."""
+def read_npz(path: str | os.PathLike, most_bytes: int = MAX_ARRAY_BYTES) -> dict[str, np.ndarray]:
+    """All arrays of a .npz file; never unpickles, and refuses what would unpack to more than `most_bytes`, or
+    `MAX_ARRAY_BYTES`."""
     with open_regular(path) as file:
         try:
-            return _read_archive(file)
+            return _read_archive(file, min(most_bytes, MAX_ARRAY_BYTES))
         except (MemoryError, OSError):
             raise
         except Exception as error:
@@ -167,12 +178,12 @@ def read_npz(path: str | os.PathLike) -> dict[str, np.ndarray]:
             raise InputError(f"{path}: not a readable .npz archive ({words})") from None
 
 
-def _read_archive(file: BinaryIO) -> dict[str, np.ndarray]:
+def _read_archive(file: BinaryIO, most_bytes: int) -> dict[str, np.ndarray]:
     check_directory(file)
     with zipfile.ZipFile(file) as archive:
         members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
-        if sum(m.file_size for m in members) > MAX_ARRAY_BYTES:
-            raise ValueError(f"it would unpack to more than {_size(MAX_ARRAY_BYTES)}")
+        if sum(m.file_size for m in members) > most_bytes:
+            raise ValueError(f"it would unpack to more than {_size(most_bytes)}")
         arrays = {}
         for member in members:
             with archive.open(member) as packed:

@@ -6,9 +6,9 @@ import contextlib
 import json
 import os
 import re
+import secrets
 import shutil
 import stat
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -59,17 +59,21 @@ def replace_file(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -
     with written(path):
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file, and is left alone")
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        temporary = _beside(path)
         try:
-            with os.fdopen(handle, "wb") as file:
+            with open(temporary, "xb") as file:
                 write(file)
                 file.flush()
                 os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
             os.replace(temporary, path)
         finally:
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(temporary)
+
+
+def _beside(path: Path) -> Path:
+    """Name what is being written. The system makes it with the permissions of the user's umask, as any file."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
 
 
 def is_taken(path: str | os.PathLike) -> bool:
@@ -87,7 +91,7 @@ def require_new(path: str | os.PathLike) -> None:
 def remove_leftovers(path: str | os.PathLike) -> None:
     """Remove what writers of this file or folder left beside it when they were killed. Nobody may be writing it now."""
     path = Path(path)
-    left = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\Z")  # as tempfile names them
+    left = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\Z")
     if path.parent.is_dir():
         for other in path.parent.iterdir():
             if left.match(other.name):
@@ -106,7 +110,7 @@ def open_to_append(path: str | os.PathLike) -> BinaryIO:
     """A regular file, made where there is none, to write at its end, unbuffered. InputError where that cannot be."""
     with written(path):
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-        handle = os.open(path, flags, 0o644)
+        handle = os.open(path, flags, 0o666)
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             os.close(handle)
             raise InputError(f"{path}: not a regular file")
@@ -148,14 +152,14 @@ def new_folder(folder: Path) -> Iterator[Path]:
     with written(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         remove_abandoned(folder)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        temporary = _beside(folder)
+        temporary.mkdir()
         try:
             with open_to_append(temporary / WRITING) as mark:
                 with contextlib.suppress(InputError):  # no locks here: what is left then goes by its age
                     try_lock(mark.fileno(), temporary)
                 yield temporary
             os.unlink(temporary / WRITING)
-            os.chmod(temporary, 0o755)
             if folder.exists():
                 folder.rmdir()  # empty, or this fails; Windows cannot rename over a folder
             os.replace(temporary, folder)
@@ -168,7 +172,7 @@ def remove_abandoned(folder: Path) -> None:
 
     A living process holds the lock of its mark. One without a mark (of an earlier version) goes after a day.
     """
-    left = re.compile(rf"\.{re.escape(folder.name)}\.[a-z0-9_]{{8}}\Z")  # as tempfile names them
+    left = re.compile(rf"\.{re.escape(folder.name)}\.[a-z0-9_]{{8}}\Z")
     for other in folder.parent.iterdir():
         if left.match(other.name) and other.is_dir() and _is_abandoned(other):
             shutil.rmtree(other, ignore_errors=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.events import read_events
+from cloak_core.core.run_config import read_config
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import check_recorded
 from cloak_core.detectors.naming import BY_SUFFIX, behind_defences, missing_file
@@ -40,7 +41,7 @@ def read_run(folder: Path) -> dict:
         raise InputError(f"{folder}: not a run folder (no config.json in it)")
     if not (folder / "colors.npy").exists():
         raise InputError(f"{folder}: has no trained colours yet (no colors.npy in it)")
-    config = read_json(folder / "config.json")
+    config = read_config(folder)
     inputs, detectors = config.get("inputs", {}), config.get("detectors")
     if not isinstance(inputs, dict) or not all(isinstance(value, str) for value in inputs.values()):
         raise InputError(f"{folder / 'config.json'}: inputs is not a record of names")
@@ -101,20 +102,20 @@ def read_history(run: Path) -> History:
     """Read losses and success over the steps; empty where the run has no events."""
     path = run / "events.jsonl"
     events = read_events(path) if path.exists() else []
-    steps = [e for e in events if e.get("type") == "step"]
+    steps = [e for e in events if e.get("type") == "step" and is_number(e.get("step"))]
     losses = {label: points for key, label in CURVES.items() if (points := _points(steps, key))}
     ends = [e for e in events if e.get("type") == "end"]
     return History(
         losses=losses,
         success=_points(steps, "success"),
-        step=int(max((e["step"] for e in steps if is_number(e.get("step"))), default=0)),
+        step=int(max((e["step"] for e in steps), default=0)),
         seconds=float(max((e["time"] for e in events if is_number(e.get("time"))), default=0.0)),
         outcome=str(ends[-1].get("outcome", "")) if ends else "",
     )
 
 
 def _points(steps: list[dict], key: str) -> list[tuple[float, float]]:
-    return [(float(e["step"]), float(e[key])) for e in steps if is_number(e.get("step")) and is_number(e.get(key))]
+    return [(float(e["step"]), float(e[key])) for e in steps if is_number(e.get(key))]
 
 
 @contextmanager

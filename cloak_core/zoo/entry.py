@@ -19,6 +19,7 @@ import numpy as np
 from PIL import Image
 
 from cloak_core.core.pictures import read_picture, save_picture
+from cloak_core.core.run_config import read_config, write_config
 from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
@@ -51,7 +52,7 @@ class Entry:
         """Make a run folder of it. InputError: it exists and holds something."""
         require_new(folder)
         with new_folder(folder) as temporary:
-            write_json(temporary / "config.json", self.config)
+            write_config(temporary, self.config)
             write_json(temporary / "zoo.json", self.record)
             write_face_list(temporary / "logo.npy", self.ids, self.config["topology"])
             write_colors(temporary / "colors.npy", self.colors)
@@ -95,7 +96,7 @@ def write_entry(
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"--name {name}: small letters, digits, dots and dashes")
-    config, faces = read_json(run / "config.json"), read_face_list(run / "logo.npy")
+    config, faces = read_config(run), read_face_list(run / "logo.npy")
     colors = np.round(255 * read_colors(run / "colors.npy", len(faces.ids))).astype(np.uint8)
     if not (run / "evaluation" / "summary.json").exists():
         raise InputError(f"{run}: has no evaluation yet (cloak evaluate {run})")

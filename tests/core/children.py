@@ -3,9 +3,9 @@
 import contextlib
 import multiprocessing
 import os
+import secrets  # noqa: F401  one of MOMENTS
 import signal
 import sys
-import tempfile  # noqa: F401  one of MOMENTS
 from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
@@ -86,7 +86,7 @@ def write_checkpoints(pipe: object, folder: str) -> None:
 
 # --- killed in the middle of a write ---------------------------------------------------------------------------------
 
-MOMENTS = ("os.fsync", "os.replace", "os.unlink", "os.rmdir", "os.chmod", "tempfile.mkstemp", "tempfile.mkdtemp")
+MOMENTS = ("os.fsync", "os.replace", "os.unlink", "os.rmdir", "os.mkdir", "secrets.token_hex")
 """Every call by which a run's files appear, change and vanish."""
 
 

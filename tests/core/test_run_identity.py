@@ -11,6 +11,7 @@ from PIL import Image
 
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.events import read_events
+from cloak_core.core.run_config import read_config
 from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -140,7 +141,7 @@ def test_backgrounds_saved_anew_are_the_same_and_others_are_not(
     with pytest.raises(InputError, match=r"backgrounds\.identities\[1\]"):
         run(tmp_path / "run", detector, load_backgrounds(second, (64, 64)))
     # A version before this one knew pictures by their files.
-    recorded = json.loads((tmp_path / "run" / "config.json").read_text())
+    recorded = read_config(tmp_path / "run")
     recorded["backgrounds"] = {"count": 2, "identities": recorded["backgrounds"]["files"]}
     (tmp_path / "run" / "config.json").write_text(json.dumps(recorded))
     assert run(tmp_path / "run", detector, load_backgrounds(first, (64, 64))).step == 2

@@ -58,7 +58,7 @@ def test_a_run_folder_is_complete(tmp_path):
     assert (result.step, result.steps, result.stopped) == (6, 6, "")
     folder = tmp_path / "run"
     assert files(folder) == {
-        ".lock", "config.json", "logo.npy", "logo.json", "events.jsonl", "colors.npy",
+        ".lock", "config.json", "material.npz", "logo.npy", "logo.json", "events.jsonl", "colors.npy",
         "checkpoint/step-00000004/state.json", "checkpoint/step-00000004/state.safetensors",
         "checkpoint/step-00000006/state.json", "checkpoint/step-00000006/state.safetensors",
         "previews/step-00000003.png", "previews/step-00000006.png",

@@ -65,6 +65,16 @@ def test_what_may_be_meant(typed: str, words: str) -> None:
     assert words in str(said.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("net.torchscript", "export the network to .onnx"), ("model.safetensors", "transformers:DIRECTORY reads it")],
+)
+def test_a_file_of_another_runtime_is_refused_with_the_way(name: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(InputError, match=rf"no detector's file ends in {Path(name).suffix} .*; {words}"):
+        load_detector(f"{tmp_path / name}@person=0")
+
+
 def test_a_file_with_a_typing_error_is_suggested(tmp_path: Path) -> None:
     (tmp_path / "yolov8n.onnx").touch()
     with pytest.raises(InputError, match=r"yolov8m\.onnx: no such file; did you mean yolov8n\.onnx\?"):

@@ -65,11 +65,13 @@ class Made:
         self.node("Sigmoid", "logits", "scores")
         self.node("Concat", "boxes scores", "output", axis=1)
 
-    def save(self, path: Path, batch: int | str = "batch", sides: tuple = (SIDE, SIDE), **said: str) -> Path:
+    def save(
+        self, path: Path, batch: int | str = "batch", sides: tuple = (SIDE, SIDE), opset: int = 13, **said: str
+    ) -> Path:
         inputs = [helper.make_tensor_value_info("images", self.kind, [batch, 3, *sides])]
         outputs = [helper.make_tensor_value_info("output", self.kind, None)]
         graph = helper.make_graph(self.nodes, "made", inputs, outputs, self.weights)
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
         helper.set_model_props(model, {"names": NAMES} | said)
         onnx.save(model, str(path))
         return path

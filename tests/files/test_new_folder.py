@@ -12,7 +12,7 @@ import pytest
 
 from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import DAY, new_folder
+from cloak_core.files.writing import DAY, new_folder, open_to_append, write_bytes
 from cloak_core.zoo import entry as zoo
 
 WRITER = """
@@ -49,6 +49,20 @@ def test_what_a_killed_process_left_is_removed_and_a_living_ones_is_not(tmp_path
         for process in (living, killed, other):
             process.kill()
             process.wait()
+
+
+@pytest.mark.parametrize("mask", [0o077, 0o022, 0o002])
+def test_what_is_written_has_the_permissions_that_the_user_asks_for(tmp_path: Path, mask: int) -> None:
+    before = os.umask(mask)
+    try:
+        write_bytes(tmp_path / "file", b"")
+        open_to_append(tmp_path / "log").close()
+        with new_folder(tmp_path / "out") as folder:
+            write_bytes(folder / "inner", b"")
+    finally:
+        os.umask(before)
+    made = {name: (tmp_path / name).stat().st_mode & 0o777 for name in ("file", "log", "out/inner", "out")}
+    assert made == {"file": 0o666 & ~mask, "log": 0o666 & ~mask, "out/inner": 0o666 & ~mask, "out": 0o777 & ~mask}
 
 
 def test_what_earlier_versions_left_goes_after_a_day(tmp_path: Path) -> None:

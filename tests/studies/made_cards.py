@@ -13,7 +13,7 @@ from cloak_core.studies.card.protocol import Size
 from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.store import RunStore
 
-TINY = Size("tiny", 2, 1, 10, 180, 1, 6, 4, 3, 2, areas=(0.05, 0.76))
+TINY = Size("tiny", 2, 1, 10, 180, 1, 6, 4, 3, 2, areas=(0.05, 0.76), pixels=48)
 
 
 class Glow(Detector):
@@ -41,4 +41,4 @@ def make_store(out: Path, detector: Detector) -> RunStore:
         load_backgrounds("procedural:test:4"),
         {detector.spec: detector},
     )
-    return RunStore(split, StoreOptions(out=out, batch=2, size=48, samples=1, seeds=1), lambda _: None)
+    return RunStore(split, StoreOptions(out=out, batch=2, size=TINY.pixels, samples=1, seeds=1), lambda _: None)

@@ -23,7 +23,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies import store, training_store
-from cloak_core.studies.card import certainty, figures, words
+from cloak_core.studies.card import certainty, words
 from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.leaderboard import folder_names, gather, leaderboard_row, write_leaderboard
 from cloak_core.studies.card.page import write_card, write_comparison
@@ -322,18 +322,6 @@ def test_the_leaderboard_has_photographs_first(made: tuple[Path, dict, list]) ->
     row = leaderboard_row(made[1])
     assert list(row)[:5] == ["detector", "photographs ↓", "76 % ↓", "5 % ↓", "all around ↓"]
     assert row["photographs ↓"] == "–" and row["76 % ↓"].startswith("≥ ") and row["size"] == "tiny"
-
-
-@pytest.mark.slow
-def test_a_cards_figures_come_from_its_rows(made: tuple[Path, dict, list]) -> None:
-    folder = made[0] / "glow"
-    card = json.loads((folder / "card.json").read_text())
-    assert list(figures.differences(card, folder)) == []
-    card["white_box"][1]["success_own"] += 0.01
-    card["around"]["state"] = "measured"
-    said = list(figures.differences(card, folder))
-    assert any(line.startswith("white_box.76.success_own is ") for line in said)
-    assert "around.state is 'measured', its rows say 'at least'" in said
 
 
 def test_a_score_at_the_threshold_is_not_rounded_up_to_it() -> None:

@@ -13,7 +13,9 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.people import People, Person, load_people
 from cloak_core.studies.card.assess import Assessment
+from cloak_core.studies.card.figures import photograph_figures
 from cloak_core.studies.cloaked import cloth_colors
+from cloak_core.studies.statistics_card import attack_record
 from cloak_core.studies.wearing.clothes import read_clothes
 from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
 from tests.sources.photographs.made_people import write_people
@@ -37,24 +39,29 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(tmp
     one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people, specs)
     assert [cloth.name for cloth in one.left] == ["white@tile=0.2"], "the size has two"
     assert one._pattern(specs[1], one.clothes[1]) is None, "a patch is worn in photographs alone"
-    row = one._pattern(specs[0], one.clothes[0])
-    assert row["name"] == "white@tile=0.5" and row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
-    assert row["state"] == "measured"
+    assert one._pattern(specs[0], one.clothes[0]) == {"name": "white@tile=0.5"}
+    row = attack_record(one.rows["pattern white@tile=0.5"][0], "glow")
+    assert row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
     faces = one._areas[-1]
     one.shown["area 76%"] = (
         one.store.untrained(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")),
         (0.0,),
         {},
     )
-    strange = {"name": "builtin-sample", "trained_against_it": False, "success": 0.0, "success_own": 0.0}
-    card = {"white_box": [{"state": "at least"}], "black_box": {"zoo": [strange]}}
-    told = one._photographs(card)
+    entry = {"name": "builtin-sample", "trained_against_it": False}
+    one.rows["zoo builtin-sample"] = one.rows["pattern white@tile=0.5"]
+    told = {"black_box": {"zoo": [entry]}}
+    assert one._photographs(told) == {"left_out": people.left_out}
+    card = {"spec": "glow", "white_box": [{"state": "at least"}]}
+    card["black_box"] = {"zoo": [entry | {"success": 0.0, "success_own": 0.0}]}
+    shown = photograph_figures(card, one.rows["people"][0])
     worn = ["made against it", "zoo:builtin-sample", "white@tile=0.5", "white@patch=0.3"]
-    assert list(told["rows"])[:4] == worn and told["people"] == len(people)
-    assert [told["rows"][name]["state"] for name in worn] == ["at least", "measured", "measured", "measured"]
-    assert told["rows"]["clothing"]["success_05"] is not None and told["rows"]["clothing"]["masr"] is not None
+    assert list(shown["rows"])[:4] == worn and shown["people"] == len(people)
+    assert [shown["rows"][name]["state"] for name in worn] == ["at least", "measured", "measured", "measured"]
+    assert shown["rows"]["clothing"]["success_05"] is not None and shown["rows"]["clothing"]["masr"] is not None
     one.store.split.detectors["glow"].forward = lambda _: pytest.fail("looked again")
-    assert one._photographs(card) == told, "what is finished is kept"
+    one._photographs(told)
+    assert photograph_figures(card, one.rows["people"][0]) == shown, "what is finished is kept"
 
 
 def test_a_size_takes_the_first_people_of_a_file(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ from cloak_core.cli import load
 from cloak_core.commands import parsing
 from cloak_core.core.evaluation.settings import StoreOptions
 from cloak_core.core.logo import chest_thighs
+from cloak_core.core.run_config import read_config
 from cloak_core.core.settings import make_settings, merge
 from cloak_core.files.errors import InputError, Stopped
-from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
@@ -122,7 +122,7 @@ def test_people_in_photographs_are_trained_on_and_others_judge(tmp_path):
     (cell,) = gather(tmp_path / "m")
     assert cell["n"] == len(kept) and cell["settings"] == {"preset": "photographs"} and cell["clothing"] is not None
     (run,) = (tmp_path / "m" / "runs").iterdir()
-    assert set(read_json(run / "config.json")["people"]["photographs"]) == set(seen.photographs)
+    assert set(read_config(run)["people"]["photographs"]) == set(seen.photographs)
     said = (show([cell], tmp_path / "page", "m")[-1]).read_text("utf-8")
     assert "judged on 2 people in 2 other photographs" in said and "and on 2 people in 2 photographs" in said
     # Other people are another training, and other images.

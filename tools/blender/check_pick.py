@@ -8,7 +8,6 @@ a drag. Prints the milliseconds that events took on a body of FACES faces (300,0
 
 import os
 import statistics
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -17,14 +16,11 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from harness import frame, install, override, play, show_tab, tidy, view_area
+from mouse import move, xdo
 
 WORDS = sys.argv[sys.argv.index("--") + 1 :]
 ZIP, FACES, ONLY = WORDS[0], int(WORDS[1]) if len(WORDS) > 1 else 300_000, "".join(WORDS[2:])
 TIMES = {}
-
-
-def xdo(*words):
-    subprocess.run(["xdotool", *map(str, words)], check=True)
 
 
 def body():
@@ -35,22 +31,6 @@ def logo_size(name="Logo"):
     from cloak.blender import faces
 
     return int(faces.read_faces(body(), name).sum()) if name in faces.logo_names(body().data) else 0
-
-
-def at(x, y):
-    """A share of the viewport from its lower left, as pixels of the screen from the upper left."""
-    region = next(r for r in view_area().regions if r.type == "WINDOW")
-    window = bpy.context.window_manager.windows[0]
-    return int(region.x + x * region.width), int(window.height - (region.y + y * region.height))
-
-
-def move(x, y, steps=1, start=None):
-    """Yields between the moves, so that Blender sees each."""
-    first = start or (x, y)
-    for step in range(1, steps + 1):
-        share = step / steps
-        xdo("mousemove", *at(first[0] + (x - first[0]) * share, first[1] + (y - first[1]) * share))
-        yield 0.1
 
 
 def timed(owner, name):

@@ -34,6 +34,21 @@ def middle_of(kind: str) -> tuple[int, int]:
     return found.x + found.width // 2, window.height - (found.y + found.height // 2)
 
 
+def at(x: float, y: float) -> tuple[int, int]:
+    """A share of the viewport from its lower left, as pixels of the screen from the upper left."""
+    found, window = region("WINDOW"), bpy.context.window_manager.windows[0]
+    return int(found.x + x * found.width), int(window.height - (found.y + y * found.height))
+
+
+def move(x: float, y: float, steps: int = 1, start: tuple[float, float] | None = None) -> Iterator[float]:
+    """Yields between the moves, so that Blender sees each."""
+    first = start or (x, y)
+    for step in range(1, steps + 1):
+        share = step / steps
+        xdo("mousemove", *at(first[0] + (x - first[0]) * share, first[1] + (y - first[1]) * share))
+        yield 0.1
+
+
 def sidebar() -> tuple[np.ndarray, int, int]:
     """[h, w] what the sidebar shows, and its left and upper edge on the screen."""
     found, window = region("UI"), bpy.context.window_manager.windows[0]

@@ -33,7 +33,7 @@ def steps():
     from cloak.session import session
     from cloak.trainer import jobs
 
-    jobs.notify = lambda message, bad: None  # no notice over the body, though the panel is not yet shown
+    jobs.notify = lambda message: None  # no notice over the body, though the panel is not yet shown
     tidy()
     yield 0.5
     bpy.ops.cloak.add_sample_body()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
@@ -25,6 +27,7 @@ from cloak_core.detectors.onnx_family.networks import (
     Session,
     as_input,
     node_that_mixes,
+    prepared,
     to_torch,
 )
 from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, takes_batches
@@ -33,6 +36,9 @@ from cloak_core.detectors.pixels import YOLO_GREY, PixelFormat, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError, first_line
+
+if TYPE_CHECKING:
+    import onnx
 
 END_TO_END = "end2end"
 CHOSEN_ALONE = "only the boxes that the file chooses have one"
@@ -57,6 +63,11 @@ class OnnxDetector(Detector):
         self.path = Path(spec)
         self.weights: TrainableWeights | None = None
         """Of a network that was loaded as it is, to be trained."""
+        self.opset = 0
+        self.black_box = ""
+        """Why it is one; "" for a network that was converted."""
+        self.untranslated: Sequence[dict[str, object]] = ()
+        """Operators that made it one: {"op", "version", "node"} of each."""
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         if images.requires_grad and not self.differentiable:
@@ -103,29 +114,41 @@ def load_onnx(request: Request) -> OnnxDetector:
     if (request.layout or named or END_TO_END) == END_TO_END:
         file = before_choice(file, size)
     try:
-        detector = _assemble(request, named, file, _converted(file, size, request.fold))
+        model = _prepared(file)
+        detector = _assemble(request, named, file, _converted(file, model, size, request.fold))
         _compare(detector, file, request.fold)
         if detector.partial_gradient and request.fold:
             _log.warning("%s: of its gradient, %s; its graph shows no others", file.path, detector.partial_gradient)
         if not request.fold:
-            detector.weights = TrainableWeights(detector.network.graph, file.model, read_proto(file.path)[0])
+            detector.weights = TrainableWeights(detector.network.graph, model, read_proto(file.path)[0])
     except NotConvertible as error:
         if not request.fold:
             raise NotTrainable(f"{file.path}: its weights cannot be trained: {error}") from None
         session = Session(file.session(torch.get_num_threads()), file)
         detector = _assemble(request, named, file, session)
         session.one_by_one |= not takes_batches(session, detector.pixels.apply(sample_images(size)))
-        _log.warning("%s: a black box, good for evaluation alone: %s", file.path, error)
+        detector.black_box, detector.untranslated = str(error), error.untranslated
+        words = "%s: a black box, good for evaluation alone: %s; to train against it, %s"
+        _log.warning(words, file.path, error, error.way)
     return detector.freeze()
 
 
-def _converted(file: ModelFile, size: tuple[int, int], fold: bool) -> Converted:
-    """Convert the file to a torch module; without folding, every weight of it is one of the file's."""
+def _prepared(file: ModelFile) -> onnx.ModelProto:
+    """Copy the file's model as it can be converted. NotConvertible: it cannot."""
     if file.quantised:
-        raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})")
+        raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})", "export it without quantising")
     if file.suppresses:
-        raise NotConvertible(f"it suppresses boxes itself (node {file.suppresses}), and what it cuts has no gradient")
-    graph = to_torch(file.model, fold).to(memory_format=torch.channels_last)
+        why = f"it suppresses boxes itself (node {file.suppresses}), and what it cuts has no gradient"
+        raise NotConvertible(why, "export it without (nms=False)")
+    return prepared(file.model)
+
+
+def _converted(file: ModelFile, model: onnx.ModelProto, size: tuple[int, int], fold: bool) -> Converted:
+    """Convert a prepared model to a torch module; without folding, every weight of it is one of the file's."""
+    graph = to_torch(model, fold)
+    for tensor in (*graph.parameters(), *graph.buffers()):
+        if tensor.dim() == 4:
+            tensor.data = tensor.data.contiguous(memory_format=torch.channels_last)
     try:
         order_channels(graph, as_input(sample_images(size)[:1], file), weights=fold)
     except Exception as error:  # onnx2torch's modules fail in their own ways
@@ -147,7 +170,7 @@ def _assemble(request: Request, named: str, file: ModelFile, network: Converted 
     pixels, said = request.pixels or file.described.pixels, file.confidence or file.described.confidence
     detector = OnnxDetector(network, decode, size, pixels or layout.pixels, letterbox, request.spec)
     detector.name, detector.pixels_assumed = file.path.stem, pixels is None
-    detector.path = file.path
+    detector.path, detector.opset = file.path, file.opset
     if layout_name == END_TO_END and not file.before_choice and detector.differentiable:
         detector.partial_gradient = CHOSEN_ALONE
     count = len(file.names) if layout_name == END_TO_END and file.names else decode(outputs, size).classes.shape[-1]
@@ -235,9 +258,11 @@ def _compare(detector: OnnxDetector, file: ModelFile, fold: bool) -> None:
 
 
 def _disagreement(parity: Parity) -> str:
-    if parity.gradient is None:
+    if parity.same and parity.gradient is None:
         return "its scores have no finite gradient in the image"
-    figures = f"scores by {parity.scores:.1e}, boxes by {parity.boxes_px:.2f} px, gradient by {parity.gradient:.0%}"
+    if parity.same:
+        return f"its gradient is {parity.gradient:.0%} off a finite difference"
+    figures = f"scores by {parity.scores:.1e}, boxes by {parity.boxes_px:.2f} px"
     return f"converted to torch it answers otherwise than in onnxruntime ({figures})"
 
 

@@ -42,6 +42,7 @@ class ModelFile:
     """Its weights with it, all of them float32."""
     digest: str
     """SHA-256 of the file and of what it keeps outside itself."""
+    opset: int
     input_name: str
     output_names: tuple[str, ...]
     channels_last: bool
@@ -108,6 +109,7 @@ def read_model(path: Path) -> ModelFile:
         path=path,
         model=model,
         digest=digest,
+        opset=_opset(model),
         input_name=inputs[0].name,
         output_names=tuple(output.name for output in model.graph.output),
         channels_last=channels_last,
@@ -133,9 +135,19 @@ def read_proto(path: Path) -> tuple[onnx.ModelProto, str]:
         raise InputError(f"{path}: not an ONNX file ({first_line(error)[:120]})") from None
     if not model.graph.node:
         raise InputError(f"{path}: not an ONNX file, or one without a network")
+    if _opset(model) > onnx.defs.onnx_opset_version():
+        known = f"the installed onnx {onnx.__version__} knows opsets up to {onnx.defs.onnx_opset_version()}"
+        raise InputError(
+            f"{path}: is of opset {_opset(model)}, {known}; update onnx, or export the file with an older one"
+        )
     check_tensors(model, path)
     outside = _load_outside(model, path)
     return model, sha256_arrays(np.frombuffer(data, np.uint8), *outside)
+
+
+def _opset(model: onnx.ModelProto) -> int:
+    """Find the version of ONNX's own operators; 1 where the file says none, as ONNX has it."""
+    return next((entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")), 1)
 
 
 def _named(model: onnx.ModelProto, wanted: Callable[[str], bool]) -> Iterator[str]:

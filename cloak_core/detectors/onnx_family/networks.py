@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from queue import Empty, Queue
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from torch import Tensor, fx, nn
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.onnx_family.model_file import ModelFile
 from cloak_core.detectors.onnx_family.simplify import activate_in_place, simplify
+from cloak_core.detectors.onnx_family.weights import COPIES, constant_of, reads
 from cloak_core.files.errors import InputError, first_line
 
 if TYPE_CHECKING:
@@ -28,18 +29,47 @@ SECONDS = 120.0
 """For one image, of a network in another runtime."""
 
 
+NEWEST_SURE = 17
+"""Opset up to which onnx2torch knows nearly all that detectors are made of."""
+
+
 class NotConvertible(Exception):
     """Says why a graph has no torch twin."""
 
+    def __init__(self, why: str, way: str = "", untranslated: Sequence[dict[str, object]] = ()) -> None:
+        """way: how to come by a file that has one; untranslated: {"op", "version", "node"} of each such operator."""
+        super().__init__(why)
+        self.way = way or f"export it with opset={NEWEST_SURE}, or name the .pt that it was exported from"
+        self.untranslated = untranslated
+
+
+def prepared(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Copy a model as `to_torch` takes it: nodes in the order they run, constants as weights, operators translatable.
+
+    NotConvertible names the operators that are not.
+    """
+    from cloak_core.detectors.onnx_family.operators import make_translatable
+
+    copied = type(model)()
+    copied.CopyFrom(model)
+    _sort(copied.graph)
+    _lift_constants(copied.graph)
+    missing = make_translatable(copied)
+    if missing:
+        first, more = missing[0], len(missing) - 1
+        place = f"node {first['node']}{f' and {more} more' if more else ''}"
+        why = f"no translation for {first['op']} of version {first['version']} ({place})"
+        raise NotConvertible(why, untranslated=missing)
+    return copied
+
 
 def to_torch(model: onnx.ModelProto, fold: bool = True) -> fx.GraphModule:
-    """Convert to a torch module, frozen, batch norm folded where it follows a convolution unless told not to.
+    """Convert a `prepared` model to a torch module, frozen, batch norm folded after convolutions unless told not to.
 
-    NotConvertible names the operator, or the node, that has no translation.
+    NotConvertible says what has no translation.
     """
     from onnx2torch import convert
 
-    _lift_constants(model)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -57,18 +87,36 @@ def to_torch(model: onnx.ModelProto, fold: bool = True) -> fx.GraphModule:
     return graph
 
 
-def _lift_constants(model: onnx.ModelProto) -> None:
+def _sort(graph: onnx.GraphProto) -> None:
+    """Order the nodes so that each comes after what it reads, in place: some exports list a cast after its use."""
+    waiting, made_by = list(graph.node), {name for node in graph.node for name in node.output}
+    done: set[str] = set()
+    ordered = []
+    while waiting:
+        late = []
+        for node in waiting:
+            if made_by.intersection(reads(node)) <= done:
+                ordered.append(node)
+                done.update(node.output)
+            else:
+                late.append(node)
+        if len(late) == len(waiting):
+            raise NotConvertible(f"its graph runs in a circle (node {late[0].name or late[0].op_type})")
+        waiting = late
+    del graph.node[:]
+    graph.node.extend(ordered)
+
+
+def _lift_constants(graph: onnx.GraphProto) -> None:
     """Make Constant nodes and copies of weights weights, in place: onnx2torch looks for kernels and biases there alone.
 
-    Exporters write equal biases once, and copy them by Identity nodes.
+    Exporters write equal biases once, and copy them by Identity nodes; of half precision, by a Cast to single.
     """
-    graph = model.graph
     weights = {weight.name: weight for weight in graph.initializer}
-    for node in [n for n in graph.node if n.op_type in ("Constant", "Identity")]:
-        if node.op_type == "Identity":
-            value = weights.get(node.input[0])
-        else:
-            value = next((a.t for a in node.attribute if a.name == "value"), None)
+    for node in [n for n in graph.node if n.op_type in ("Constant", *COPIES)]:
+        value = constant_of(node) if node.op_type == "Constant" else weights.get(node.input[0])
+        if node.op_type == "Cast" and value is not None and node.attribute[0].i != value.data_type:
+            value = None
         if value is not None:
             lifted = graph.initializer.add()
             lifted.CopyFrom(value)

@@ -41,10 +41,14 @@ class Parity:
     """What went wrong, in words; "" for nothing."""
 
     @property
+    def same(self) -> bool:
+        """One image is answered alike."""
+        return self.scores is not None and self.scores <= SCORES and self.boxes_px <= BOXES_PX
+
+    @property
     def agrees(self) -> bool:
         """One image is answered alike, and its gradient is right: the network can be trained against."""
-        near = self.scores is not None and self.scores <= SCORES and self.boxes_px <= BOXES_PX
-        return near and self.gradient is not None and self.gradient <= AGREES
+        return self.same and self.gradient is not None and self.gradient <= AGREES
 
     @property
     def takes_batches(self) -> bool:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 KERNELS = {"Conv": 1, "ConvTranspose": 1, "Gemm": 1}
 """Which input of an operator is its weight; its bias is the next."""
 NORMALISES = "BatchNormalization"
+COPIES = ("Identity", "Cast")
+"""Operators whose output may be a weight under another name, or in another precision."""
 
 
 class NotTrainable(InputError):
@@ -54,7 +56,9 @@ class TrainableWeights:
     """
 
     def __init__(self, graph: fx.GraphModule, model: onnx.ModelProto, original: onnx.ModelProto) -> None:
-        self._owners = _owners(original.graph)
+        from onnx import numpy_helper
+
+        self._owners, tensors = _owners(original.graph), _tensors(original.graph)
         uses = self._uses(graph, model)
         reads = Counter(self._owners.get(name, name) for name in _reads(original.graph))
         self.uses: dict[str, Use] = {}
@@ -62,7 +66,10 @@ class TrainableWeights:
         """By the name of the initializer, or of the output of the Constant node."""
         self._before: dict[str, Tensor] = {}
         for name, places in uses.items():
-            if reads[name] == len(places) and len({(use.transposed, use.scale) for use in places}) == 1:
+            alike = reads[name] == len(places) and len({(use.transposed, use.scale) for use in places}) == 1
+            # What would not go back into the file as it came out of it (a factor of 0, say) is not trained.
+            held = _as_in_the_file(_tensor_at(graph, places[0]), places[0])
+            if alike and name in tensors and np.array_equal(held, numpy_helper.to_array(tensors[name])):
                 self._tie(graph, name, places)
         self.chooses = next((node.name or node.op_type for node in model.graph.node if node.op_type == "TopK"), "")
         """Name of a node that chooses the best of its input, so that outputs stand in no order; "" for none."""
@@ -89,19 +96,14 @@ class TrainableWeights:
 
         tensors = _tensors(original.graph)
         for name, parameter in self.parameters.items():
-            if torch.equal(parameter.detach().cpu(), self._before[name]):
-                continue
-            use, tensor = self.uses[name], tensors[name]
-            values = parameter.detach().cpu() / use.scale
-            values = (values.T if use.transposed else values).numpy()
-            kind = numpy_helper.to_array(tensor).dtype
-            values = np.ascontiguousarray(values).astype(kind)
-            tensor.CopyFrom(numpy_helper.from_array(values, tensor.name))
+            if not torch.equal(parameter.detach().cpu(), self._before[name]):
+                tensor = tensors[name]
+                values = _as_in_the_file(parameter, self.uses[name]).astype(numpy_helper.to_array(tensor).dtype)
+                tensor.CopyFrom(numpy_helper.from_array(values, tensor.name))
 
     def _tie(self, graph: fx.GraphModule, name: str, places: list[Use]) -> None:
         """Let all places that hold copies of a weight hold one parameter."""
-        value = getattr(graph.get_submodule(places[0].module), places[0].attribute)
-        parameter = nn.Parameter(value.detach(), requires_grad=False)
+        parameter = nn.Parameter(_tensor_at(graph, places[0]).detach(), requires_grad=False)
         for use in places:
             module = graph.get_submodule(use.module)
             delattr(module, use.attribute)
@@ -152,39 +154,59 @@ def _places(
                 yield position, Use(owner, name)
 
 
+def _tensor_at(graph: fx.GraphModule, use: Use) -> Tensor:
+    return getattr(graph.get_submodule(use.module), use.attribute)
+
+
+def _as_in_the_file(value: Tensor, use: Use) -> Shaped[np.ndarray, "*n"]:
+    """Undo what the torch graph does to a weight of the file."""
+    values = value.detach().cpu() / use.scale
+    return np.ascontiguousarray((values.T if use.transposed else values).numpy())
+
+
 def _is_learned(values: Shaped[np.ndarray, "*n"]) -> bool:
     """Tell whether an array is one of fractions, or a vector: biases may begin as zeros, scales as ones."""
     return np.issubdtype(values.dtype, np.floating) and (values.ndim == 1 or bool((values != np.round(values)).any()))
 
 
+def reads(node: onnx.NodeProto) -> Iterator[str]:
+    """Yield the names of the tensors that a node reads, those of the graphs in it included."""
+    yield from node.input
+    for attribute in node.attribute:
+        for inner in (attribute.g, *attribute.graphs):
+            for step in inner.node:
+                yield from reads(step)
+            yield from (output.name for output in inner.output)
+
+
 def _reads(graph: onnx.GraphProto) -> Iterator[str]:
-    """Yield what every node reads, inner graphs included, but for nodes that only copy; and what the graph returns."""
+    """Yield what every node reads, but for those that only copy, and what the graph returns."""
     for node in graph.node:
-        if node.op_type != "Identity":
-            yield from node.input
-        for attribute in node.attribute:
-            for inner in (attribute.g, *attribute.graphs):
-                yield from _reads(inner)
+        if node.op_type not in COPIES:
+            yield from reads(node)
     yield from (output.name for output in graph.output)
 
 
 def _owners(graph: onnx.GraphProto) -> dict[str, str]:
-    """By the name of a copy (Identity), the name of the weight that it is a copy of; nodes stand as they run."""
-    weights = {tensor.name for tensor in graph.initializer}
+    """By the name of a copy, the name of the weight that it is a copy of."""
+    weights = _tensors(graph)
+    sources = {node.output[0]: node.input[0] for node in graph.node if node.op_type in COPIES}
     owners: dict[str, str] = {}
-    for node in graph.node:
-        if node.op_type == "Identity":
-            source = owners.get(node.input[0], node.input[0])
-            if source in weights:
-                owners[node.output[0]] = source
+    for name, source in sources.items():
+        while source in sources:
+            source = sources[source]
+        if source in weights:
+            owners[name] = source
     return owners
 
 
 def _tensors(graph: onnx.GraphProto) -> dict[str, onnx.TensorProto]:
     """Weights of a graph by the names that nodes read them under."""
-    found = {tensor.name: tensor for tensor in graph.initializer}
-    for node in graph.node:
-        if node.op_type == "Constant":
-            value = next((attribute.t for attribute in node.attribute if attribute.name == "value"), None)
-            found |= {} if value is None else {node.output[0]: value}
-    return found
+    constants = {node.output[0]: constant_of(node) for node in graph.node if node.op_type == "Constant"}
+    found = {name: value for name, value in constants.items() if value is not None}
+    return {tensor.name: tensor for tensor in graph.initializer} | found
+
+
+def constant_of(node: onnx.NodeProto) -> onnx.TensorProto | None:
+    """Find the tensor in a Constant node; None where it is written in another way."""
+    return next((attribute.t for attribute in node.attribute if attribute.name == "value"), None)

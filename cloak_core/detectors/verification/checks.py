@@ -216,7 +216,9 @@ def parity(subject: Subject) -> Finding:
     """Compare with the original, one by one and four images at a time."""
     if subject.original is None:
         nothing = {"parity_scores": None, "parity_boxes_px": None}
-        return Finding(None, "there is no other runtime to compare it with", nothing)
+        why = getattr(subject.detector, "black_box", "")
+        words = f"it runs in its own runtime alone: {why}" if why else "there is no other runtime to compare it with"
+        return Finding(None, words, nothing)
     worst = Apart(0.0, 0.0)
     for images in subject.batches():
         together = subject.detector(images)

@@ -47,7 +47,8 @@ def verify(
     """Check a detector on images of one size, in [0, 1] or bytes, photographs first; without any, on procedural scenes.
 
     original: what to compare it with; None for what `original_of` finds. on_check: called after each check. Returns
-    {"spec", "layout" (of an ONNX file's outputs, else the family), "white_box": it has gradients, "parity_scores" and
+    {"spec", "layout" (of an ONNX file's outputs, else the family), "white_box": it has gradients, "opset" of an ONNX
+    file, "untranslated": {"op", "version", "node"} of its operators that made it a black box, "parity_scores" and
     "parity_boxes_px": largest differences from the original, "gradient_error": relative, against a finite difference,
     "batch_invariant", "forward_ratio": time beside the original's, "operating_point", "operating_point_assumed",
     "person_class": its index, "failed": names of the checks that failed, "images": how many, "checks": {NAME:
@@ -65,6 +66,8 @@ def verify(
         "spec": detector.spec,
         "layout": detector.source.get("layout", family),
         "white_box": detector.differentiable,
+        "opset": getattr(detector, "opset", None),
+        "untranslated": list(getattr(detector, "untranslated", ())),
         **(dict.fromkeys(KEYS) | figures),
         "operating_point": detector.operating_point,
         "operating_point_assumed": detector.operating_point_assumed,

@@ -208,18 +208,23 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
     decoded = DecodedImages(cache_folder("images"))
     room = max(1, memory_bytes // (3 * size[0] * size[1]))
     good: list[Path] = []
+    bad: list[InputError] = []
     pictures: list[Picture] = []
     ready: list[np.ndarray] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
         opened = pool.map(lambda path: _try_read(path, *size, decoded), files)
-        for file, (image, picture) in zip(files, opened, strict=True):
-            if image is not None:
-                good.append(file)
-                pictures.append(picture)
-                if len(ready) < room:
-                    ready.append(image)
+        for file, found in zip(files, opened, strict=True):
+            if isinstance(found, InputError):
+                _log.warning("%s; skipped", found)
+                bad.append(found)
+                continue
+            good.append(file)
+            pictures.append(found[1])
+            if len(ready) < room:
+                ready.append(found[0])
     if not good:
-        raise InputError(f"{folder}: none of its {len(files)} images can be read")
+        one = str(bad[0]).removeprefix(f"{folder}{os.sep}")
+        raise InputError(f"{folder}: none of its {len(files)} images can be read ({one})")
     backgrounds = Backgrounds(
         [path.name for path in good],
         lambda i, h, w: _read(good[i], h, w, decoded, pictures[i])[0],
@@ -233,12 +238,11 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
 
 def _try_read(
     path: Path, height: int, width: int, decoded: DecodedImages
-) -> tuple[UInt8[np.ndarray, "H W 3"] | None, Picture]:
+) -> tuple[UInt8[np.ndarray, "H W 3"], Picture] | InputError:
     try:
         return _read(path, height, width, decoded)
     except InputError as error:
-        _log.warning("%s; skipped", error)
-        return None, Picture("")
+        return error
 
 
 def _read(
@@ -269,11 +273,13 @@ def _read(
 def _decode(path: Path, data: bytes) -> Image.Image:
     """Decode the whole picture, upright: a JPEG file and a lossless copy of it give the same pixels."""
     with open_picture(path, data) as image:
-        return _rgb(ImageOps.exif_transpose(image))
+        ImageOps.exif_transpose(image, in_place=True)
+        image.load()
+        return _rgb(image)
 
 
 def _rgb(image: Image.Image) -> Image.Image:
     if image.has_transparency_data:
         rgba = image.convert("RGBA")
         return Image.alpha_composite(Image.new("RGBA", rgba.size, "white"), rgba).convert("RGB")
-    return image.convert("RGB")
+    return image if image.mode == "RGB" else image.convert("RGB")

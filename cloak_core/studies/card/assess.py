@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -13,36 +12,42 @@ import numpy as np
 from jaxtyping import Int64
 
 from cloak_core import __version__
-from cloak_core.core.evaluate import MEASUREMENT_VERSION
-from cloak_core.core.evaluation.controls import CLOTHING, NATURAL
+from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.logo import Cover, area_share, load_logo
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.visibility.threads import one_thread
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, one_line
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import remove_all_leftovers, write_json
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.patterns.faces import FacePattern
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.card import protocol
-from cloak_core.studies.card.figures import keep_rows, part_figures, part_of_area, people_states, summary
+from cloak_core.studies.card.figures import VERSIONS, card_of, detector_facts, others_strongest
 from cloak_core.studies.card.page import keep_pictures
+from cloak_core.studies.card.parts import (
+    BESIDE,
+    Part,
+    drop_other_rows,
+    keep_rows,
+    make_part,
+    part_of_area,
+    parts_of,
+)
 from cloak_core.studies.card.work import TRAINED, OnWork, Work
 from cloak_core.studies.data_split import people_record
 from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import clothes_cover, open_pattern, run_pattern
 from cloak_core.studies.pace import Pace, measured_pace
+from cloak_core.studies.statistics_card import attack_record
 from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
-from cloak_core.studies.training_store import TRAINING_VERSION, Trained
+from cloak_core.studies.training_store import Trained
 from cloak_core.studies.trainings.run_record import environment
 from cloak_core.zoo.entry import MARK, run_path, shelved
 
-FORMAT = "cloak card 2"
-BESIDE = (CLOTHING, "random")
-"""Controls beside every cloak."""
 CLOCKED_PEOPLE = 2
 """People in photographs whose dressing is clocked."""
 
@@ -64,6 +69,8 @@ class Assessment:
     """Pictures to be worn, as `open_pattern` takes them: FILE.png@tile=METRES, FILE.png@patch=METRES."""
     shown: dict[str, tuple[Trained, tuple[float, ...], dict]] = field(default_factory=dict, init=False)
     """What pictures may be taken of, by part: a cloak, its test azimuths and evaluation settings."""
+    rows: dict[str, list[Results]] = field(default_factory=dict, init=False)
+    """By part, a table for each repetition."""
 
     def __post_init__(self) -> None:
         (self.spec,) = self.store.specs
@@ -85,30 +92,30 @@ class Assessment:
         """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
         work = Work(self.costs(), self._spent, self._asked(), self.on_work, self.size.seeds)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
-        card = self._head()
+        told = self._head() | {"white_box": [], "black_box": {"zoo": []}, "patterns": [], "photographs": None}
         with work.part("clean"):
-            card |= self._clean()
-        card |= {"white_box": [], "around": None, "photographs": None, "patterns": []}
+            self._clean()
         for area, faces in zip(self.size.areas, self._areas, strict=True) if self.white_box else ():
             with work.part(part_of_area(area)):
-                card["white_box"].append(self._area(area, faces))
+                told["white_box"].append(self._area(area, faces))
         if self.white_box and self.size.circle:
             with work.part("circle"):
-                card["around"] = self._circle()
+                self._measure("circle", self._trained(self._areas[-1], protocol.CIRCLE, 2 * self.size.steps))
         with work.part("zoo"):
-            card["black_box"] = {"zoo": [self._entry(entry) for entry in self.entries]}
+            told["black_box"]["zoo"] += map(self._entry, self.entries)
         if self.patterns:
             with work.part("patterns"):
-                card["patterns"] = [self._pattern(*one) for one in self.opened]
-                card["patterns"] = [row for row in card["patterns"] if row]
+                rows = (self._pattern(*one) for one in self.opened)
+                told["patterns"] += [row for row in rows if row]
         if self.people is not None:
             with work.part("people"):
-                card["photographs"] = self._photographs(card)
-        card |= summary(card)
+                told["photographs"] = self._photographs(told)
+        told["seconds"] = work.seconds
+        drop_other_rows(self.folder, parts_of(told, self.size))
+        card = card_of(told, self.size, self.rows)
         pictures = keep_pictures(self.folder / "pictures", self.store, self.shown, card)
         remove_all_leftovers(self.folder)
         write_json(self.folder / "pictures.json", pictures)
-        card["seconds"] = work.seconds
         write_json(self.folder / "card.json", card)
         return card
 
@@ -174,79 +181,47 @@ class Assessment:
     def _asked(self) -> str:
         asked = {"size": asdict(self.size), "seed": self.store.options.seed, "protocol": protocol.VERSION}
         asked |= {"people": self.people and people_record(self.people), "patterns": list(self.patterns)}
-        return sha256_record(asked | self._versions() | {"split": self.split.record()})
-
-    @staticmethod
-    def _versions() -> dict[str, int]:
-        return {"training": TRAINING_VERSION, "measurement": MEASUREMENT_VERSION}
+        return sha256_record(asked | VERSIONS | {"split": self.split.record()})
 
     def _head(self) -> dict:
-        options, detector = self.store.options, self.detector
-        made = {"cloak": __version__, "command": options.command, "seed": options.seed}
+        options = self.store.options
+        made = {"cloak": __version__, "command": one_line(options.command), "seed": options.seed}
         materials = self.split.record() | ({"shown_people": people_record(self.people)} if self.people else {})
         return {
-            "format": FORMAT,
-            "protocol": protocol.VERSION,
             "size": self.size.name,
-            "versions": self._versions(),
             "spec": self.spec,
-            "operating_point": detector.operating_point,
-            "operating_point_assumed": detector.operating_point_assumed,
-            "differentiable": self.white_box,
-            "partial_gradient": detector.partial_gradient,
+            **detector_facts(self.detector),
             "made": made | environment(),
-            "counts": asdict(self.size) | {"pixels": options.size},
             "materials": materials,
             "left_patterns": self.left,
         }
 
     # --- the parts
 
-    def _clean(self) -> dict:
+    def _clean(self) -> None:
         """Measure own clothing and untrained patterns from everywhere, and bare scenes."""
         faces = self._areas[-1]
         noise = np.random.default_rng([self.store.options.seed, 0xB1]).integers(0, 2, (len(faces), 1))
         colors = np.repeat(noise, 3, 1).astype(np.float32)
-        worn = self.store.untrained(FacePattern(self._cover(faces), colors=colors), Path("black and white"))
-        angles, elevations, distances = protocol.CLEAN_ANGLES, protocol.CLEAN_ELEVATIONS, protocol.CLEAN_DISTANCES
-        views = len(angles) * len(elevations) * len(distances) * self.split.unseen.pose_count
-        settings = {
-            "elevations": elevations,
-            "distances": distances,
-            "images_per_view": math.ceil(self.size.clean_images / views),
-            "most_images": self.size.clean_images,
-            "bare": self.size.bare,
-            "controls": (CLOTHING, "grey", "random", *NATURAL),
-        }
-        return self._figures("clean", [worn], angles, settings)
+        self._measure("clean", [self.store.untrained(FacePattern(self._cover(faces), colors=colors))])
 
     def _area(self, area: float, faces: Int64[np.ndarray, " L"]) -> dict:
         """Train a cloak of this area against the detector and judge it from the front."""
-        trained = self._trained(faces, protocol.FRONT, self.size.steps)
-        share = round(area_share(self.split.bodies, faces), 4)
-        label = {"asked": area, "area": share, "faces": len(faces), "steps": self.size.steps}
-        angles = self.size.front_angles
-        return label | self._figures(part_of_area(area), trained, angles, self._front(), label)
+        self._measure(part_of_area(area), self._trained(faces, protocol.FRONT, self.size.steps))
+        return {"area": round(area_share(self.split.bodies, faces), 4), "faces": len(faces)}
 
-    def _circle(self) -> dict:
-        """Train the largest cloak all around and judge it so."""
-        label = {"steps": 2 * self.size.steps}
-        trained = self._trained(self._areas[-1], protocol.CIRCLE, label["steps"])
-        return label | self._figures("circle", trained, self.size.circle_angles, self._front(), label)
-
-    def _photographs(self, card: dict) -> dict:
+    def _photographs(self, told: dict) -> dict:
         """Dress people in photographs in the largest cloak, made on renders, the zoo's strongest, and the patterns."""
         worn = {}
         if self.white_box:
             worn[protocol.AGAINST] = self.shown[part_of_area(self.size.areas[-1])][0].pattern
-        strange = [row for row in card["black_box"]["zoo"] if not row["trained_against_it"]]
-        if strange:
-            name = MARK + max(strange, key=lambda row: (row["success_own"], row["success"]))["name"]
-            worn[name] = open_pattern(name)[0]
+        zoo = told["black_box"]["zoo"]
+        zoo = [row | attack_record(self.rows[f"zoo {row['name']}"][0], self.spec) for row in zoo]
+        if strange := others_strongest(zoo):
+            worn[MARK + strange["name"]] = open_pattern(MARK + strange["name"])[0]
         results = self.store.measure_people(worn | dict(self.opened), self.people, WearSettings(bare=0))
-        rows = part_figures("people", keep_rows(self.folder, "people", [results]), self.spec, {})
-        told = {"people": len(self.people), "left_out": self.people.left_out}
-        return told | {"rows": people_states(card, rows)}
+        self._keep(Part("people"), [results])
+        return {"left_out": those_who_fit(self.people, fit_people(self.people)).left_out}
 
     def _pattern(self, name: str, pattern: Pattern) -> dict | None:
         """Show it a published pattern as cloth for shirt and trousers, from the front; None of a patch."""
@@ -254,9 +229,8 @@ class Assessment:
             return None
         bodies = self.split.unseen
         worn = replace(pattern, cover=self._cover(self._areas[-1]), bodies=bodies)
-        part = f"pattern {name}"
-        shown = [self.store.untrained(worn, Path(name))]
-        return {"name": name} | self._figures(part, shown, self.size.front_angles, self._front())
+        self._measure(f"pattern {name}", [self.store.untrained(worn, Path(name))])
+        return {"name": name}
 
     def _cover(self, faces: Int64[np.ndarray, " L"]) -> Cover:
         return Cover(faces, self.split.unseen.topology)
@@ -268,28 +242,22 @@ class Assessment:
         worn = self.store.untrained(run_pattern(entry["path"], logo, split.unseen), entry["path"])
         unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
         white = trained_against(entry["config"], split.detectors)[self.spec]
+        self._measure(f"zoo {entry['name']}", [worn])
         label = {"name": entry["name"], "trained_against_it": white, "unseen": unseen}
-        label["area"] = round(area_share(split.unseen, logo.face_ids), 4)
-        return label | self._figures(f"zoo {entry['name']}", [worn], self.size.front_angles, self._front())
-
-    def _front(self) -> dict:
-        return {"images_per_view": self.size.images_per_view, "controls": BESIDE, "bare": 1}
+        return label | {"area": round(area_share(split.unseen, logo.face_ids), 4)}
 
     def _trained(self, faces: Int64[np.ndarray, " L"], angles: str, steps: int) -> list[Trained]:
         """Train on one thread: another number sums in another order, and hundreds of updates make that a figure."""
         with one_thread():
             return self.store.train_repetitions(faces, [self.spec], angles=angles, steps=steps)
 
-    def _figures(
-        self,
-        part: str,
-        trained: Sequence[Trained],
-        angles: tuple[float, ...],
-        settings: dict,
-        label: dict | None = None,
-    ) -> dict:
-        """Judge repetitions of a cloak, keep the rows beside the card, and compute the part's figures from them."""
-        self.shown[part] = (trained[0], angles, settings)
-        rows = [self.store.measure_repetitions([one], angles, **settings) for one in trained]
-        head = {"partial_gradient": self.detector.partial_gradient} | (label or {})
-        return part_figures(part, keep_rows(self.folder, part, rows), self.spec, head)
+    def _measure(self, name: str, trained: Sequence[Trained]) -> None:
+        """Judge repetitions of a cloak for the part of this name."""
+        part = make_part(name, self.size, self.store.options.seed, self.split.unseen.pose_count)
+        self.shown[name] = (trained[0], part.angles, part.settings)
+        self._keep(part, [self.store.measure_repetitions([one], part.angles, **part.settings) for one in trained])
+
+    def _keep(self, part: Part, rows: list[Results]) -> None:
+        """Keep a part's rows beside the card."""
+        keep_rows(self.folder, part, rows)
+        self.rows[part.name] = rows

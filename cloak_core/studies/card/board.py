@@ -1,161 +1,109 @@
-"""A folder of cards as a leaderboard: what is checked before a card joins, and the page that sorts and filters them."""
+"""A folder of cards as a leaderboard: which cards join, and the page that sorts and filters them."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import json
-import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from markupsafe import Markup
 
-from cloak_core.core.evaluate import MEASUREMENT_VERSION
+from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 from cloak_core.files.writing import written
-from cloak_core.studies.card.figures import ROWS, differences
-from cloak_core.studies.card.leaderboard import leaderboard_table, ranked, read_card, write_leaderboard
+from cloak_core.studies.card.entry import read_entry, read_told, remove_card, write_entry
+from cloak_core.studies.card.figures import DETECTOR, detector_facts
+from cloak_core.studies.card.leaderboard import leaderboard_table, ranked, write_leaderboard
 from cloak_core.studies.card.page import CARD, write_card
 from cloak_core.studies.card.protocol import SIZES
 from cloak_core.studies.report import page
 from cloak_core.studies.report.words import short_names
-from cloak_core.studies.training_store import TRAINING_VERSION
 
-FIELDS = {
-    "spec": str,
-    "size": str,
-    "versions": dict,
-    "operating_point": (int, float),
-    "differentiable": bool,
-    "partial_gradient": str,
-    "made": dict,
-    "counts": dict,
-    "materials": dict,
-    "clean": dict,
-    "recall_by": dict,
-    "controls": dict,
-    "white_box": list,
-    "black_box": dict,
-    "patterns": list,
-    "left_patterns": list,
-    "not_tested": list,
-    "seconds": (int, float),
-    "state": str,
-}
-"""What a card has, beside `format` and `protocol`, and of which kind."""
 SHARED = ("bodies", "unseen", "backgrounds", "unseen_backgrounds")
 """Materials that all cards of a leaderboard have in common."""
-KEPT = ("card.json", "pictures.json", "pictures", ROWS)
-"""What of a card's folder joins; its pages are written anew."""
 
 
-def check_card(folder: Path, digest: str | None = None) -> dict:
-    """Check that a card is whole, of this protocol and these versions, and that its figures follow from its rows.
+def check_together(cards: Mapping[Path, dict], detectors: Mapping[str, Detector] | None = None) -> None:
+    """Check that cards compare: the same bodies, backgrounds, people and cloaks of the zoo, one network for each spec.
 
-    digest: of the detector, where it is at hand. InputError: names file and field of the first thing that does not
-    hold.
+    cards: what they say themselves (`schema.CARD`), by folder. detectors: those at hand, by spec. InputError: names the
+    file and the place of one that differs from an earlier one.
     """
-    path = folder / "card.json"
-    card = read_card(path)
-    for name, kind in FIELDS.items():
-        if not isinstance(card.get(name), kind):
-            raise InputError(f"{path}: {name} is {card.get(name)!r}" if name in card else f"{path}: {name} is missing")
-    versions = {"training": TRAINING_VERSION, "measurement": MEASUREMENT_VERSION}
-    for name, version in versions.items():
-        if card["versions"].get(name) != version:
-            raise InputError(f"{path}: versions.{name} is {card['versions'].get(name)!r}; this version has {version}")
-    told = _digest(path, card)
-    if digest is not None and told != digest:
-        raise InputError(f"{path}: materials.detectors.{card['spec']} is {told[:12]}, the detector's is {digest[:12]}")
-    try:
-        _check_counts(path, card)
-        wrong = next(differences(card, folder), None)
-    except InputError:
-        raise
-    except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
-        raise InputError(f"{path}: not the figures of a card ({type(error).__name__}: {error})") from None
-    if wrong is not None:
-        raise InputError(f"{path}: {wrong}")
-    return card
-
-
-def _check_counts(path: Path, card: dict) -> None:
-    """Compare a card's counts with those of its size. InputError: one differs, or there is no such size."""
-    if card["size"] not in SIZES:
-        raise InputError(f"{path}: size is {card['size']!r}, none of {', '.join(SIZES)}")
-    size = SIZES[card["size"]]
-    for name, count in vars(size).items():
-        said = card["counts"].get(name)
-        if said != (list(count) if isinstance(count, tuple) else count):
-            raise InputError(f"{path}: counts.{name} is {said!r}; size {size.name} has {count!r}")
-    steps = [(f"white_box.{100 * row['asked']:g}", row["steps"], size.steps) for row in card["white_box"]]
-    steps += [("around", card["around"]["steps"], 2 * size.steps)] if card.get("around") else []
-    for place, made, asked in steps:
-        if made != asked:
-            raise InputError(f"{path}: {place}.steps is {made}; size {size.name} has {asked}")
-
-
-def _digest(path: Path, card: dict) -> str:
-    digests = card["materials"].get("detectors")
-    if not isinstance(digests, dict) or list(digests) != [card["spec"]] or not isinstance(digests[card["spec"]], str):
-        raise InputError(f"{path}: materials.detectors has no digest of {card['spec']}")
-    return digests[card["spec"]]
-
-
-def check_together(cards: Mapping[Path, dict]) -> None:
-    """Check that cards compare: the same bodies and backgrounds, the same people, one digest for each detector.
-
-    InputError: names the file and the field of one that differs from an earlier one.
-    """
-    known: dict[tuple[str, ...], tuple[object, Path]] = {}
+    known: dict[tuple[str, str], tuple[object, object]] = {}
+    for spec, detector in (detectors or {}).items():
+        for place, value in _of_detector(spec, detector_facts(detector), sha256_record(detector_record(detector))):
+            known[place, spec] = value, "the detector at hand"
     for folder, card in cards.items():
-        materials, path = card["materials"], folder / "card.json"
-        fields = {("materials", name, "sha256"): materials.get(name, {}).get("sha256") for name in SHARED}
-        fields[("materials", "detectors", card["spec"])] = _digest(path, card)
-        if card.get("photographs"):
-            people = materials.get("shown_people", {}).get("sha256")
-            fields[("materials", "shown_people", "sha256", card["size"])] = people
-        for field, value in fields.items():
-            before, where = known.setdefault(field, (value, path))
+        path = folder / "card.json"
+        for place, whose, value in _common(card):
+            before, where = known.setdefault((place, whose), (value, path))
             if value != before:
-                raise InputError(f"{path}: {'.'.join(field[:3])} differs from that of {where}: they do not compare")
+                raise InputError(f"{path}: {place} differs from that of {where}: they do not compare")
+
+
+def _common(card: dict) -> Iterator[tuple[str, str, object]]:
+    """List what a card has in common with others: the place, of which spec or size if not of all, and the value."""
+    materials, spec, size = card["materials"], card["spec"], card["size"]
+    for name in SHARED:
+        for key, value in materials[name].items():
+            if key != "name":
+                yield f"materials.{name}.{key}", "", value
+    for place, value in _of_detector(spec, card, materials["detectors"][spec]):
+        yield place, spec, value
+    for asked, row in zip(SIZES[size].areas, card["white_box"], strict=False):
+        for key in ("area", "faces"):
+            yield f"white_box.{100 * asked:g}.{key}", "", row[key]
+    for row in card["black_box"]["zoo"]:
+        for key in ("area", "unseen"):
+            yield f"black_box.zoo.{row['name']}.{key}", "", row[key]
+    if card.get("photographs") is not None:
+        yield "materials.shown_people", size, materials.get("shown_people")
+        yield "photographs.left_out", size, card["photographs"]["left_out"]
+
+
+def _of_detector(spec: str, facts: Mapping, digest: str) -> Iterator[tuple[str, object]]:
+    yield f"materials.detectors.{spec}", digest
+    for key in DETECTOR:
+        yield key, facts[key]
 
 
 def cards_in(folder: Path) -> list[Path]:
-    """List the folders of the cards in a leaderboard's folder."""
-    return [path.parent for path in sorted(folder.glob("*/card.json"))]
+    """List the folders of the cards in a leaderboard's folder. InputError: one is a link."""
+    folders = [path.parent for path in sorted(folder.glob("*/card.json")) if not path.parent.name.startswith(".")]
+    for card in folders:
+        if card.is_symlink():
+            raise InputError(f"{card}: a link; a leaderboard holds its cards themselves")
+    return folders
 
 
-def add_cards(sources: Sequence[Path], board: Path, digests: Mapping[str, str]) -> list[Path]:
-    """Check cards and copy them into a leaderboard's folder; none where one of them does not hold.
+def add_cards(sources: Sequence[Path], board: Path, detectors: Mapping[str, Detector]) -> list[Path]:
+    """Check cards and write them into a leaderboard's folder; none where one of them does not hold.
 
-    digests: of detectors that are at hand, by spec. InputError: see `check_card` and `check_together`.
+    A card replaces the one of the same detector and size. detectors: those at hand, by spec. Returns the cards'
+    folders, which are named by their content. InputError: see `read_entry` and `check_together`.
     """
-    checked = {folder: check_card(folder, None) for folder in sources}
-    for folder, card in checked.items():
-        if card["spec"] in digests:
-            check_card(folder, digests[card["spec"]])
-    names = {folder.name for folder in sources}
-    if len(names) < len(sources):
-        raise InputError("leaderboard add: two of the cards' folders have one name")
-    stay = [folder for folder in cards_in(board) if folder.name not in names]
-    check_together({folder: read_card(folder / "card.json") for folder in stay} | checked)
-    joined = []
-    for source in sources:
-        target = board / source.name
-        if target.resolve() != source.resolve():
-            with written(target):
-                shutil.rmtree(target, ignore_errors=True)
-                target.mkdir(parents=True)
-                for name in KEPT:
-                    if (source / name).is_dir():
-                        shutil.copytree(source / name, target / name)
-                    elif (source / name).is_file():
-                        shutil.copy(source / name, target / name)
-        joined.append(target)
-    return joined
+    entries = {folder: read_entry(folder) for folder in sources}
+    there = {folder: read_told(folder)[1] for folder in cards_in(board)}
+    check_together(there | {folder: entry.card for folder, entry in entries.items()}, detectors)
+    joined: dict[tuple[str, str], Path] = {}
+    for entry in entries.values():
+        if _key(entry.card) in joined:
+            raise InputError(f"leaderboard add: two cards are of {entry.card['spec']}, size {entry.card['size']}")
+        joined[_key(entry.card)] = board / entry.name
+    for entry in entries.values():
+        write_entry(entry, board)
+    for folder, card in there.items():
+        if folder != joined.get(_key(card), folder):
+            with written(folder):
+                remove_card(folder)
+    return list(joined.values())
+
+
+def _key(card: dict) -> tuple[str, str]:
+    return card["spec"], card["size"]
 
 
 def build_board(folder: Path) -> tuple[list[Path], list[dict]]:
@@ -166,7 +114,7 @@ def build_board(folder: Path) -> tuple[list[Path], list[dict]]:
     folders = cards_in(folder)
     if not folders:
         raise InputError(f"{folder}: holds no card (NAME/card.json)")
-    cards = {one: check_card(one) for one in folders}
+    cards = {one: read_entry(one).card for one in folders}
     check_together(cards)
     called = short_names(card["spec"] for card in cards.values())
     links = {}
@@ -186,6 +134,5 @@ def build_board(folder: Path) -> tuple[list[Path], list[dict]]:
         "sizes": [name for name in SIZES if any(card["size"] == name for card in ordered)],
         "script": Markup(script),
         "script_digest": digest,
-        "made": json.dumps(sorted({card["made"]["cloak"] for card in ordered})),
     }
     return [page.write_page(folder / "index.html", "board.html", values), folder / "leaderboard.md"], ordered

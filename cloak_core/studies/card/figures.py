@@ -1,96 +1,104 @@
-"""A card's figures from the rows behind them: made once when a card is made, and again when one is checked.
-
-The rows of a part are a table for each repetition of its training (`Results`), kept beside card.json in rows/.
-"""
+"""A whole card from what it says itself and its rows: made so when it is measured, and again when it is checked."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 
-from cloak_core.core.evaluation.results import Results, pool, read_results
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluate import MEASUREMENT_VERSION
+from cloak_core.core.evaluation.results import Results, pool
 from cloak_core.core.evaluation.statistics import side_record, success_record
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import parse_json
 from cloak_core.studies import statistics_card
 from cloak_core.studies.card.certainty import MEASURED, NOT_MEASURED, state, state_of_attack, whole, worn_rows
-from cloak_core.studies.card.protocol import AGAINST, AREAS
+from cloak_core.studies.card.parts import part_of_area
+from cloak_core.studies.card.protocol import AGAINST, AREAS, FORMAT, VERSION, Size
+from cloak_core.studies.card.schema import CARD, inside
+from cloak_core.studies.training_store import TRAINING_VERSION
+from cloak_core.zoo.entry import MARK
 
-ROWS = "rows"
-"""Folder beside card.json."""
 ROUNDING = 2e-4
 """By how much a figure may differ that is computed again: it has four digits."""
+DETECTOR = ("operating_point", "operating_point_assumed", "differentiable", "partial_gradient")
+"""What a card says of its detector beside its spec."""
+VERSIONS = {"training": TRAINING_VERSION, "measurement": MEASUREMENT_VERSION}
 
 
-def part_of_area(area: float) -> str:
-    """Name the part of an area's cloak."""
-    return f"area {area:.0%}"
+def card_of(told: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) -> dict:
+    """Make a card. told: what it says itself (`schema.CARD`); rows: by part, a table for each repetition.
+
+    InputError: people in photographs do not wear the strongest of the zoo's cloaks.
+    """
+    spec, tables = told["spec"], {part: pool(repetitions) for part, repetitions in rows.items()}
+
+    def attack(part: str) -> dict:
+        return statistics_card.attack_record(tables[part], spec)
+
+    def white_box(part: str, steps: int, area: float | None = None) -> dict:
+        return {"steps": steps} | attack(part) | {"state": state_of_attack(steps, area, told["partial_gradient"])}
+
+    areas = size.areas if told["differentiable"] else ()
+    sure = {"state": MEASURED}
+    card = fixed(size) | {key: told[key] for key in CARD if key in told} | clean_figures(tables["clean"], spec)
+    card["white_box"] = [
+        {"asked": area} | row | white_box(part_of_area(area), size.steps, area)
+        for area, row in zip(areas, told["white_box"], strict=True)
+    ]
+    card["around"] = None
+    if "circle" in tables:
+        by_angle = statistics_card.by_angle_record(tables["circle"], spec)
+        card["around"] = white_box("circle", 2 * size.steps) | {"by_angle": by_angle}
+    card["black_box"] = {"zoo": [row | attack(f"zoo {row['name']}") | sure for row in told["black_box"]["zoo"]]}
+    card["patterns"] = [row | attack(f"pattern {row['name']}") | sure for row in told["patterns"]]
+    if "people" in tables:
+        card["photographs"] |= photograph_figures(card, tables["people"])
+    return parse_json(json.dumps(card | summary(card)).encode(), "figures")
 
 
-def rows_files(folder: Path, part: str) -> list[Path]:
-    """List the files of a part's rows, one for each repetition of its training."""
-    return sorted((folder / ROWS).glob(f"{file_part(part)}.[0-9]*.npz"))
+def fixed(size: Size) -> dict:
+    """Tell what all cards of a size say, as JSON has it."""
+    counts = asdict(size) | {"areas": list(size.areas)}
+    return {"format": FORMAT, "protocol": VERSION, "size": size.name, "versions": VERSIONS, "counts": counts}
 
 
-def file_part(part: str) -> str:
-    """Write a part's name as part of a file's name."""
-    return "".join(letter if letter.isalnum() or letter in "-_=" else "-" for letter in part)
+def detector_facts(detector: Detector) -> dict:
+    """Tell `DETECTOR` of a detector at hand."""
+    return {name: getattr(detector, name) for name in DETECTOR}
 
 
-def keep_rows(folder: Path, part: str, repetitions: list[Results]) -> Results:
-    """Write a part's rows beside the card, and return them as a check will read them."""
-    (folder / ROWS).mkdir(exist_ok=True)
-    for path in rows_files(folder, part):
-        path.unlink()
-    for k, results in enumerate(repetitions):
-        results.save(folder / ROWS / f"{file_part(part)}.{k}.npz")
-    return read_rows(folder, part)
+def clean_figures(results: Results, spec: str) -> dict:
+    """Compute what a detector finds without an attack, and beside untrained patterns."""
+    controls = statistics_card.control_records(results, spec, logo="noise")
+    return {
+        "clean": statistics_card.clean_record(results, spec) | {"state": MEASURED},
+        "recall_by": statistics_card.recall_by(results, spec),
+        "controls": {name: row | {"state": MEASURED} for name, row in controls.items()},
+    }
 
 
-def read_rows(folder: Path, part: str) -> Results:
-    """Read a part's rows. InputError: there are none."""
-    paths = rows_files(folder, part)
-    if not paths:
-        raise InputError(f"{folder / ROWS}: holds no rows of {part}")
-    return pool([read_results(path) for path in paths])
-
-
-def part_figures(part: str, results: Results, spec: str, head: dict) -> dict:
-    """Compute the figures of a part. head: what the card says beside figures (`partial_gradient`, `steps` of a row)."""
-    if part == "clean":
-        return {
-            "clean": statistics_card.clean_record(results, spec) | {"state": MEASURED},
-            "recall_by": statistics_card.recall_by(results, spec),
-            "controls": {
-                name: row | {"state": MEASURED}
-                for name, row in statistics_card.control_records(results, spec, logo="noise").items()
-            },
-        }
-    if part == "people":
-        rows = {name: results.rows(spec, name) for name in results.controls}
-        return {name: success_record(results, row) | side_record(row) for name, row in rows.items()}
-    record = statistics_card.attack_record(results, spec)
-    if part == "circle":
-        record |= {"by_angle": statistics_card.by_angle_record(results, spec)}
-    against = part == "circle" or part.startswith("area ")
-    area = head.get("asked")
-    sure = state_of_attack(head["steps"], area, head["partial_gradient"]) if against else MEASURED
-    return record | {"state": sure}
-
-
-def people_states(card: dict, rows: dict[str, dict]) -> dict[str, dict]:
-    """Say how sure each row of people in photographs is: the cloak made against the detector as it is on renders."""
-    largest = card["white_box"][-1] if card["white_box"] else None
-    return {name: row | {"state": state(largest) if name == AGAINST else MEASURED} for name, row in rows.items()}
+def photograph_figures(card: dict, results: Results) -> dict:
+    """Count people in photographs by what they wear; the cloak made against the detector is as sure as on renders."""
+    strange, largest = others_strongest(card["black_box"]["zoo"]), (card["white_box"] or [None])[-1]
+    worn = [name for name in results.controls if name.startswith(MARK) and "@" not in name]
+    if worn != ([MARK + strange["name"]] if strange else []):
+        raise InputError(f"rows of people: they wear {worn}, not the strongest of the zoo's cloaks")
+    figures = {}
+    for name in results.controls:
+        rows = results.rows(card["spec"], name)
+        sure = state(largest) if name == AGAINST else MEASURED
+        figures[name] = success_record(results, rows) | side_record(rows) | {"state": sure}
+    return {"people": len(results.trials), "rows": figures}
 
 
 def summary(card: dict) -> dict:
     """Compute what a card says of all its parts together."""
     black = card["black_box"]
     counted = [row for row in black["zoo"] if not row["trained_against_it"]]
-    worst = max(counted, key=lambda row: (row["success_own"], row["success"]), default=None)
+    worst = others_strongest(black["zoo"])
     most = {key: max((row[key] for row in counted), default=None) for key in ("success", "success_own")}
     around = card.get("around")
     return {
@@ -101,6 +109,12 @@ def summary(card: dict) -> dict:
         "state": whole(card),
         "not_tested": untested(card),
     }
+
+
+def others_strongest(zoo: Sequence[dict]) -> dict | None:
+    """Choose the cloak made against other detectors that hides most people, at the own threshold and then at 0.6."""
+    counted = [row for row in zoo if not row["trained_against_it"]]
+    return max(counted, key=lambda row: (row["success_own"], row["success"]), default=None)
 
 
 def untested(card: dict) -> list[str]:
@@ -134,58 +148,25 @@ def untested(card: dict) -> list[str]:
     return said + [f"The pattern {name}: this size has {card['counts']['patterns']}." for name in card["left_patterns"]]
 
 
-# --- again
-
-
-def places(card: dict) -> Iterator[tuple[str, str, dict, dict]]:
-    """List a card's parts: name, place in card.json, the figures there, and what decides how sure they are."""
-    partial = {"partial_gradient": card["partial_gradient"]}
-    yield "clean", "", {key: card[key] for key in ("clean", "recall_by", "controls")}, partial
-    for row in card["white_box"]:
-        yield part_of_area(row["asked"]), f"white_box.{100 * row['asked']:g}", row, partial | row
-    if card.get("around"):
-        yield "circle", "around", card["around"], partial | card["around"]
-    for row in card["black_box"]["zoo"]:
-        yield f"zoo {row['name']}", f"black_box.zoo.{row['name']}", row, partial
-    for row in card.get("patterns") or []:
-        yield f"pattern {row['name']}", f"patterns.{row['name']}", row, partial
-    if card.get("photographs"):
-        yield "people", "photographs.rows", card["photographs"]["rows"], partial
-
-
-def differences(card: dict, folder: Path) -> Iterator[str]:
-    """Compute every figure of a card again from the rows in its folder, and name those that differ.
-
-    InputError: the rows of a part are missing, or are something else.
-    """
-    for part, place, record, head in places(card):
-        results = read_rows(folder, part)
-        if results.detectors != (card["spec"],):
-            raise InputError(f"{folder / ROWS}: the rows of {part} are of {', '.join(results.detectors)}")
-        fresh = part_figures(part, results, card["spec"], head)
-        if part == "people":
-            fresh = people_states(card, fresh)
-        yield from _apart(place, _as_read(fresh), record)
-    yield from _apart("", _as_read(summary(card)), card)
-
-
-def _as_read(record: dict) -> dict:
-    return parse_json(json.dumps(record).encode(), "figures")
-
-
-def _apart(place: str, fresh: object, said: object) -> Iterator[str]:
-    if isinstance(fresh, Mapping) and isinstance(said, Mapping):
-        for key, value in fresh.items():
-            inner = f"{place}.{key}" if place else key
-            if key in said:
-                yield from _apart(inner, value, said[key])
+def differences(fresh: object, said: object, place: str = "") -> Iterator[str]:
+    """List the places where a card differs from the one that was made anew, both as JSON has them."""
+    if isinstance(fresh, dict) and isinstance(said, dict):
+        for key in dict.fromkeys([*fresh, *said]):
+            if key not in said or key not in fresh:
+                yield f"{inside(place, key)} is {'missing' if key in fresh else 'no part of a card'}"
             else:
-                yield f"{inner} is missing"
-        return
-    if isinstance(fresh, list) and isinstance(said, list) and len(fresh) == len(said):
+                yield from differences(fresh[key], said[key], inside(place, key))
+    elif isinstance(fresh, list) and isinstance(said, list) and len(fresh) == len(said):
         for k, (value, other) in enumerate(zip(fresh, said, strict=True)):
-            yield from _apart(f"{place}.{k}", value, other)
-        return
-    numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in (fresh, said))
-    if not (math.isclose(fresh, said, rel_tol=0, abs_tol=ROUNDING) if numbers else fresh == said):
-        yield f"{place} is {said!r}, its rows say {fresh!r}"
+            yield from differences(value, other, inside(place, row_name(value, k)))
+    else:
+        numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in (fresh, said))
+        if not (math.isclose(fresh, said, rel_tol=0, abs_tol=ROUNDING) if numbers else fresh == said):
+            yield f"{place} is {said!r:.80}; computed anew it is {fresh!r:.80}"
+
+
+def row_name(row: object, index: int) -> str:
+    """Name a row of a list: by the share of the body that was asked for in per cent, its name, or its index."""
+    if isinstance(row, dict) and "asked" in row:
+        return f"{100 * row['asked']:g}"
+    return str(row["name"]) if isinstance(row, dict) and "name" in row else str(index)

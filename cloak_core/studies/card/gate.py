@@ -11,6 +11,7 @@ from cloak_core.files.errors import InputError, one_line
 from cloak_core.files.reading import is_number, read_toml
 from cloak_core.files.writing import write_text
 from cloak_core.studies.card.certainty import AT_LEAST
+from cloak_core.studies.card.figures import row_name
 from cloak_core.studies.card.leaderboard import name_of
 
 SIDES = ("min", "max")
@@ -94,15 +95,9 @@ def _flat(value: object, place: str = "") -> Iterator[tuple[str, object]]:
     if isinstance(value, dict):
         items = value.items()
     elif isinstance(value, list):
-        items = ((_row_name(row, k), row) for k, row in enumerate(value))
+        items = ((row_name(row, k), row) for k, row in enumerate(value))
     else:
         yield place, value
         return
     for key, inner in items:
         yield from _flat(inner, f"{place}.{key}" if place else str(key))
-
-
-def _row_name(row: object, index: int) -> str:
-    if isinstance(row, dict) and "asked" in row:
-        return f"{100 * row['asked']:g}"
-    return str(row["name"]) if isinstance(row, dict) and "name" in row else str(index)

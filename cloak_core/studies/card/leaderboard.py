@@ -14,7 +14,7 @@ from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text
 from cloak_core.studies.card.certainty import MEASURED, shown, strongest, whole
 from cloak_core.studies.card.protocol import VERSION
-from cloak_core.studies.report.words import file_name, interval, percent, short_name
+from cloak_core.studies.report.words import file_name, interval, markdown, percent, short_name
 
 HEAD = """# Leaderboard
 
@@ -122,14 +122,14 @@ def markdown_rows(cards: list[dict]) -> list[str]:
     """Make a Markdown table of cards, one line each."""
     heads, rows = leaderboard_table(cards)
     lines = [heads, ["---"] * len(heads), *rows]
-    return ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", "<br>") for cell in line) + " |" for line in lines]
+    return ["| " + " | ".join(markdown(cell).replace("\n", "<br>") for cell in line) + " |" for line in lines]
 
 
 def write_leaderboard(cards: dict[str, dict], path: Path) -> None:
     """Write all cards as a Markdown table, in the order of `ranked`."""
     ordered = ranked(cards.values())
     made = dict.fromkeys(f"cloak {card['made']['cloak']}, torch {card['made'].get('torch', '?')}" for card in ordered)
-    write_text(path, "\n".join([HEAD, *markdown_rows(ordered), "", f"Made with {'; '.join(made)}."]) + "\n")
+    write_text(path, "\n".join([HEAD, *markdown_rows(ordered), "", f"Made with {markdown('; '.join(made))}."]) + "\n")
 
 
 def ranked(cards: Iterable[dict]) -> list[dict]:

@@ -22,13 +22,18 @@ from cloak_core.files.writing import write_text, written
 from cloak_core.studies.card import certainty, leaderboard, words
 from cloak_core.studies.card.certainty import MEASURED, worn_rows
 from cloak_core.studies.card.leaderboard import markdown_rows, read_card
+from cloak_core.studies.card.parts import part_of_area
 from cloak_core.studies.imagery import flat_views
 from cloak_core.studies.report import page, plots
 from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
+from cloak_core.studies.report.words import markdown
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Trained
 
 CARD = "card.html"
+PAGES = (CARD, "card.md", "model_card.md")
+FLAT = 320
+"""Largest side of a cloak's picture, pixels."""
 SHOWN = 4
 """Pictures of a kind."""
 SIDES = ("front", "back")
@@ -94,11 +99,11 @@ def model_card(card: dict) -> str:
     index = [{"name": leaderboard.name_of(card), "results": [result]}]
     front = {"pipeline_tag": "object-detection", "tags": ["person-detection", "robustness"], "model-index": index}
     lines = [f"{key}: {json.dumps(value)}" for key, value in front.items()]  # JSON is YAML, too
-    said = [words.headline(card), words.lede(card), words.advice(card), "Not tested:"]
-    untested = "\n".join(f"- {line}" for line in words.not_tested(card))
+    said = [markdown(write(card)) for write in (words.headline, words.lede, words.advice)]
+    untested = "\n".join(f"- {markdown(line)}" for line in words.not_tested(card))
     table = "\n".join(markdown_rows([card]))
     head = "\n".join(["---", *lines, "---"])
-    return "\n\n".join([head, f"# {leaderboard.name_of(card)}", table, *said, untested]) + "\n"
+    return "\n\n".join([head, f"# {markdown(leaderboard.name_of(card))}", table, *said, "Not tested:", untested]) + "\n"
 
 
 def _figures(draw: Callable[..., dict], what: object) -> dict[str, Markup]:
@@ -126,7 +131,7 @@ def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
 def _parts_with_pairs(card: dict, hidden: Mapping[str, Sequence]) -> list[str]:
     """Choose the parts whose hidden bodies are shown: the smallest cloak that hides anybody, else the zoo's first one;
     and the circle. `hidden` has what is hidden in each part."""
-    areas = [f"area {row['asked']:.0%}" for row in card["white_box"]]
+    areas = [part_of_area(row["asked"]) for row in card["white_box"]]
     zoo = [f"zoo {row['name']}" for row in card["black_box"]["zoo"]]
     smallest = next((part for part in (*areas, *zoo) if hidden.get(part)), "circle")
     return [part for part in dict.fromkeys((smallest, "circle")) if hidden.get(part)]
@@ -169,7 +174,7 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
                 found["hidden"][part] = [
                     draw_pair(place, images, patterns, trial, detectors, own) for trial in trials[part]
                 ]
-            flat = flat_views(store.split.unseen, worn.pattern, 320)
+            flat = flat_views(store.split.unseen, worn.pattern, FLAT)
             views = {side: rgba for side, rgba in flat.items() if side in SIDES}
             flat = {side: write_flat(place, side, rgba) for side, rgba in views.items()}
             found["cloaks"].append({"part": part} | flat)

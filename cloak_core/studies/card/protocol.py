@@ -13,6 +13,7 @@ from cloak_core.exchange.bodies import Bodies
 
 VERSION = "2"
 """Raise it whenever a card of the same detector would come out otherwise."""
+FORMAT = f"cloak card {VERSION}"
 
 AREAS = (0.05, 0.20, 0.40, 0.76)
 """Shares of the body's area that the white-box cloaks cover."""
@@ -60,6 +61,8 @@ class Size:
     areas: tuple[float, ...] = AREAS
     circle: bool = True
     """Whether a cloak for the full circle is made."""
+    pixels: int = 416
+    """Width and height of the images."""
 
     @property
     def front_angles(self) -> tuple[float, ...]:

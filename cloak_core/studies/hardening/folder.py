@@ -15,6 +15,7 @@ from cloak_core.core.checkpoints import remove_unfinished
 from cloak_core.core.detector.protocol import detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, write_json, written
@@ -63,8 +64,8 @@ def harden_config(settings: HardenSettings, student: Student, material: Material
         "settings": asdict(settings),
         "detector": {"spec": student.spec} | detector_record(student.teacher),
         "scene": {"name": bodies.name, "poses": list(bodies.names), "identity": bodies.identity},
-        "backgrounds": material.backgrounds.identities(),
-        "photographs": None if photographs is None else photographs.identities(),
+        "backgrounds": sha256_record(material.backgrounds.identities()),
+        "photographs": None if photographs is None else sha256_record(photographs.identities()),
         "people": None if people is None else people_identity(people),
         "environment": environment(),
     }
@@ -105,10 +106,15 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
     before, now = (
         {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
         | {"bodies (--scene)": c["scene"]["identity"], "weights of the detector": c["detector"]["sha256"]}
-        | {name: c.get(name) for name in ("backgrounds", "photographs", "people")}
+        | {name: _digest(c.get(name)) for name in ("backgrounds", "photographs", "people")}
         for c in (recorded, config)
     )
     for name, value in now.items():
         if before.get(name) != value:
             words = f" = {before.get(name)}, not {value}" if name.startswith("--") else ""
             raise InputError(f"{path}: was begun with other {name}{words}; resume with the same")
+
+
+def _digest(value: object) -> object:
+    """Earlier records list what later ones hash."""
+    return sha256_record(value) if isinstance(value, list) else value

@@ -109,7 +109,7 @@ def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]
     return [(trial, success) for success, _, trial in sorted(found)[:WORST] if success < 1]
 
 
-def describe(images: ImageSet, trial: int) -> dict:
+def describe(images: ImageSet | Results, trial: int) -> dict:
     """Say what one trial shows, as plain values; None for what its view does not have."""
     row = images.trials.loc[trial]
     known = lambda name: None if pd.isna(row.get(name)) else float(row[name])

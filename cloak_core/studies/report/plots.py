@@ -26,6 +26,8 @@ MOST_BODIES = 40
 RECALL_WAYS = {"distance": "distance (m)", "azimuth": "azimuth (degrees)", "elevation": "elevation (degrees)"}
 MOST_BARS = 20
 """Bodies and poses that are named."""
+MOST_POINTS = 2000
+"""Of a curve: a page has fewer pixels across."""
 HIDDEN, FOUND = "people hidden", "found in own clothing"
 WIDE = (1.5 * WIDTH, 3.2)
 MARKS = dict(zip(KINSHIPS, ("", " *"), strict=True))
@@ -210,13 +212,17 @@ def training_curves(history: History) -> Figure:
 
 
 def _curve(axis: Axes, points: list[tuple[float, float]], color: str, label: str) -> None:
-    """Draw the points faintly, and their running mean over a fiftieth of them."""
+    """Draw the points faintly, of many the lowest and highest of each stretch, and their running mean over a fiftieth
+    of them."""
     step, value = np.array(points, float).T
     window = max(1, len(value) // 50)
+    starts = np.arange(0, len(value), -(-len(value) // MOST_POINTS))
     if window > 1:
-        axis.plot(step, value, color=color, lw=0.6, alpha=0.35)
-        kernel = np.ones(window)
-        value = np.convolve(value, kernel, "same") / np.convolve(np.ones(len(value)), kernel, "same")
+        shown = [value] if len(starts) == len(value) else [f.reduceat(value, starts) for f in (np.minimum, np.maximum)]
+        axis.plot(np.repeat(step[starts], len(shown)), np.stack(shown, 1).ravel(), color=color, lw=0.6, alpha=0.35)
+        sums = np.concatenate([[0], np.cumsum(value)])
+        first, end = (np.clip(starts + k, 0, len(value)) for k in (-(window // 2), window - window // 2))
+        step, value = step[starts], (sums[end] - sums[first]) / (end - first)
     axis.plot(step, value, color=color, label=label)
 
 

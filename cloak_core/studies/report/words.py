@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from collections import Counter
 from collections.abc import Iterable
@@ -10,6 +11,11 @@ from pathlib import PureWindowsPath
 from cloak_core.detectors.defended.table import split_defence
 from cloak_core.files.specs import split_spec
 from cloak_core.studies.report.style import SERIES
+
+
+def markdown(text: str) -> str:
+    """Escape text for a Markdown page: no HTML, no link and no further column comes out of a name."""
+    return re.sub(r"([\\`\[\]|])", r"\\\1", html.escape(text, quote=False).replace("&gt;", ">"))
 
 
 def percent(value: float | None) -> str:

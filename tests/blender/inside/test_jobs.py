@@ -1,6 +1,9 @@
 """Jobs outside Blender, and what a training's events tell of it."""
 
 import json
+import re
+import sys
+from pathlib import Path
 
 import pytest
 from cloak.files.errors import InputError
@@ -9,6 +12,7 @@ from cloak.trainer import jobs
 from cloak.trainer.jobs import Job, TrainingJob
 from cloak.trainer.progress import Progress, take_event
 from cloak.training import runs
+from cloak.ui import window
 from conftest import run_job
 
 
@@ -31,8 +35,6 @@ def test_time_left_follows_the_pace():
 
 
 def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_path):
-    import sys
-
     def say(text: str) -> list[str]:
         return [sys.executable, "-c", f"print({text!r})"]
 
@@ -69,6 +71,25 @@ def test_jobs_wait_their_turn_and_say_so(tmp_path, stub):
     run_job()
     assert [job.state for job in (first, second, third, lost)] == ["done", "done", "stopped", "failed"]
     assert third.message == "Three stopped" and "cannot be started" in lost.message
+
+
+def test_no_timer_acts_while_a_tool_is_at_work(tmp_path, stub, monkeypatch):
+    """Each that is registered anywhere waits; what a job's end does comes when the tool has ended."""
+    timers = []
+    for name, module in [
+        (n, m) for n, m in sys.modules.items() if n.startswith("cloak.") and getattr(m, "__file__", 0)
+    ]:
+        for timer in re.findall(r"timers\.register\((\w+)", Path(module.__file__).read_text()):
+            timers.append(f"{name}.{timer}")
+            assert hasattr(getattr(module, timer), "__wrapped__"), timers[-1]
+    assert len(timers) >= 5
+    ended = []
+    job = jobs.launch(Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", ended.append))
+    job._process.wait()
+    monkeypatch.setattr(window, "tool_at_work", lambda: "Sculpt")
+    assert jobs.tick() == jobs.TICK_SECONDS and job.running and not ended
+    monkeypatch.undo()
+    assert run_job().state == "done" and ended == [job]
 
 
 def test_run_folders_never_collide(tmp_path):

@@ -5,7 +5,7 @@ import math
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import faces
+from cloak.blender import colors, faces
 from cloak.body import garments
 from cloak.files.errors import InputError
 from cloak.logo import overlay
@@ -105,3 +105,36 @@ def test_a_mask_that_leaves_nothing_and_a_vertex_nowhere_are_said_in_step_3(ches
     chest.data.vertices[5].co.x = np.nan
     bpy.context.view_layer.update()
     assert "'Body' has 1 vertices without a place (NaN)" in poses_reason(bpy.context)
+
+
+@pytest.mark.parametrize("rigged", [False, True])
+def test_colours_go_to_what_the_body_itself_wears_whatever_it_is_called(chest, rigged):
+    """A copied character's to the copy's shirt; one's own that is named "Shirt" stays as it is."""
+    shirt = add_shirt(chest)
+    bpy.ops.cloak.logo_onto(garment="Shirt")
+    if rigged:
+        rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+        bpy.context.collection.objects.link(rig)
+        for one in (chest, shirt):
+            one.modifiers.new("Rig", "ARMATURE").object = rig
+    bpy.ops.cloak.train_start()
+    assert run_job().state == "done" and colors.is_dressed(shirt)
+    garments.undress(chest)
+    copies = [one.copy() for one in (chest, shirt)]
+    for copy in copies:
+        copy.data = copy.data.copy()
+        bpy.context.collection.objects.link(copy)
+    body, worn = copies
+    worn.parent = body
+    shirt.name, worn.name = "Waistcoat", "Shirt"
+    bpy.context.view_layer.objects.active = body
+    bpy.context.view_layer.update()
+    assert garments.worn_by(body) == ([chest, worn] if rigged else [worn]), "not the shirt of the body in its place"
+    bpy.ops.cloak.result_load()
+    assert list(map(colors.is_dressed, (body, worn, chest, shirt))) == [True, True, False, False]
+    bpy.context.view_layer.objects.active = chest
+    bpy.ops.cloak.result_load()
+    assert colors.is_dressed(shirt), "renamed, and still the one"
+    bpy.data.batch_remove([shirt, worn])
+    with pytest.raises(RuntimeError, match="'Body' wears no 'Shirt' with the faces of the export"):
+        bpy.ops.cloak.result_load()

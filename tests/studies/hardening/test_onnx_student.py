@@ -65,6 +65,16 @@ def copied_bias(made: Made) -> set[str]:
     return {"first", "second", "third", "bias"}
 
 
+def constant_copied_and_cast(made: Made) -> set[str]:
+    """A bias in half precision in a Constant node, which the graph copies and turns into single precision."""
+    made.node("Constant", "", "offset", value=numpy_helper.from_array(np.array([30, 30, 20, 20, -1, -1], np.float16)))
+    made.node("Identity", "offset", "copy")
+    made.node("Cast", "copy", "single", to=onnx.TensorProto.FLOAT)
+    made.body(bias="single")
+    made.head()
+    return {"first", "second", "offset"}
+
+
 def read_elsewhere(made: Made) -> set[str]:
     """A bias that the graph adds once more: to train it for one use would change the other."""
     made.body()
@@ -117,7 +127,7 @@ def shuffled(made: Made) -> set[str]:
     return {"first", "second", "bias"}
 
 
-def linear(transposed: bool) -> Callable[[Made], set[str]]:
+def linear(transposed: bool, beta: float = 2.0) -> Callable[[Made], set[str]]:
     """A layer over all cells (Gemm, times alpha and beta) and one over the channels (MatMul)."""
 
     def build(made: Made) -> set[str]:
@@ -134,12 +144,12 @@ def linear(transposed: bool) -> Callable[[Made], set[str]]:
         rest, made.nodes = made.nodes[at:], made.nodes[:at]
         made.node("MatMul", "mixes rows", "mixed")
         made.node("Reshape", "mixed lines", "flattened")
-        made.node("Gemm", "flattened cells offset", "gemm", alpha=0.5, beta=2.0, transB=int(transposed))
+        made.node("Gemm", "flattened cells offset", "gemm", alpha=0.5, beta=beta, transB=int(transposed))
         made.node("Reshape", "gemm back", "linear")
         for node in slices:
             node.input[0] = "linear"
         made.nodes += rest
-        return {"first", "second", "bias", "cells", "offset", "mixes"}
+        return {"first", "second", "bias", "cells", "mixes"} | ({"offset"} if beta else set())
 
     return build
 
@@ -147,6 +157,7 @@ def linear(transposed: bool) -> Callable[[Made], set[str]]:
 CASES = [
     plain,
     constant_bias,
+    constant_copied_and_cast,
     copied_bias,
     read_elsewhere,
     whole_numbers,
@@ -155,6 +166,7 @@ CASES = [
     shuffled,
     pytest.param(linear(False), id="linear"),
     pytest.param(linear(True), id="transposed"),
+    pytest.param(linear(False, beta=0.0), id="bias times 0"),
 ]
 
 
@@ -202,7 +214,7 @@ def test_what_was_trained_goes_back_where_it_came_from_and_nothing_else_changes(
     assert float((scores - student.teacher(batch).scores).abs().max()) > 1e-3
     before, after = onnx.load(str(path)), onnx.load(str(again))
     for part in ("node", "input", "output"):
-        if part != "node" or build is not constant_bias:  # whose trained weight is a node
+        if part != "node" or build not in (constant_bias, constant_copied_and_cast):  # whose trained weight is a node
             assert list(getattr(before.graph, part)) == list(getattr(after.graph, part))
     assert list(before.metadata_props) == list(after.metadata_props)
 

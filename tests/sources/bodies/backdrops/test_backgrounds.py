@@ -98,10 +98,17 @@ def test_bad_folders_are_refused(tmp_path):
     with pytest.raises(InputError, match="no jpg, png or webp"):
         load_backgrounds(tmp_path)
     (tmp_path / "bad.jpg").write_bytes(b"\xff\xd8\xff")
-    with pytest.raises(InputError, match="none of its 1 images"):
+    with pytest.raises(InputError, match=r"none of its 1 images can be read \(bad\.jpg: not a readable picture"):
         load_backgrounds(tmp_path)
     with pytest.raises(InputError, match="this is a file"):
         load_backgrounds(tmp_path / "bad.jpg")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+def test_the_largest_pictures_of_telephones_are_taken(tmp_path):
+    Image.new("1", (12_000, 9_000), 1).save(tmp_path / "large.png")
+    assert (load_backgrounds(tmp_path).image(0) == 255).all()
 
 
 def test_subsets_and_splits_keep_names_and_images():

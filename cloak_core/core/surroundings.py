@@ -1,0 +1,45 @@
+"""Torch as it is where nobody has changed it, for the length of a call: what we compute follows from what is given."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+
+import torch
+
+_lock = threading.Lock()
+_calls: list[torch.dtype] = []
+"""The caller's default type, once for each call that goes on: torch has one for all threads."""
+
+
+@contextlib.contextmanager
+def plain_torch() -> Iterator[None]:
+    """Compute in float32 on the CPU unless told otherwise, with gradients and without autocast; then set all back.
+
+    Also a decorator. The default type belongs to the process: other threads see float32 until the last call has ended.
+    """
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_float32())
+        stack.enter_context(torch.inference_mode(False))
+        stack.enter_context(torch.enable_grad())
+        for device in ("cpu", "cuda"):
+            if torch.is_autocast_enabled(device):
+                stack.enter_context(torch.autocast(device, enabled=False))
+        if torch.get_default_device().type != "cpu":  # torch looks at every call where a device is set
+            stack.enter_context(torch.device("cpu"))
+        yield
+
+
+@contextlib.contextmanager
+def _float32() -> Iterator[None]:
+    with _lock:
+        _calls.append(_calls[0] if _calls else torch.get_default_dtype())
+        torch.set_default_dtype(torch.float32)
+    try:
+        yield
+    finally:
+        with _lock:
+            before = _calls.pop()
+            if not _calls:
+                torch.set_default_dtype(before)

@@ -1,0 +1,189 @@
+"""Operators that onnx2torch has no translation for, or a wrong one, and versions newer than those that it knows.
+
+Most newer versions of an operator only take more types: they are translated as the version before, unless a node uses
+an attribute or an input that is new. Importing this module imports onnx2torch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import onnx
+import torch
+import torch.nn.functional as F
+from onnx import defs, helper, numpy_helper
+from onnx2torch.node_converters.registry import add_converter, get_converter
+from onnx2torch.onnx_graph import OnnxGraph
+from onnx2torch.onnx_node import OnnxNode
+from onnx2torch.utils.common import OnnxMapping, OperationConverterResult
+from torch import Tensor, nn
+
+OURS = "cloak"
+"""Domain of the operators that are translated here."""
+Constants = Mapping[str, onnx.TensorProto]
+
+
+def make_translatable(model: onnx.ModelProto) -> list[dict[str, object]]:
+    """Rewrite, in place, the operators of a graph into those that have a translation; list the others.
+
+    Returns {"op", "version", "node"} of each. What is written has a meaning for `onnx2torch.convert` alone.
+    """
+    opsets = {entry.domain: entry.version for entry in model.opset_import}
+    constants = {tensor.name: tensor for tensor in model.graph.initializer}
+    missing = []
+    for node in model.graph.node:
+        version = _version(node, opsets.get(node.domain, 1))
+        _rewrite(node, constants)
+        if not node.domain and node.op_type in TRANSLATED and TRANSLATED[node.op_type](node, constants):
+            node.domain = OURS
+        elif not _is_known(node, version):
+            missing.append({"op": node.op_type, "version": version, "node": node.name or node.output[0]})
+    model.opset_import.append(helper.make_opsetid(OURS, 1))
+    return missing
+
+
+def _version(node: onnx.NodeProto, opset: int) -> int:
+    """Find the version of an operator that stands in an opset."""
+    try:
+        return defs.get_schema(node.op_type, max_inclusive_version=opset, domain=node.domain).since_version
+    except defs.SchemaError:
+        return opset
+
+
+def _is_known(node: onnx.NodeProto, version: int) -> bool:
+    """Tell whether a node has a translation; an older version's is registered for its own where it means the same."""
+    for older in range(version, 0, -1):
+        try:
+            translation = get_converter(node.op_type, older, node.domain)
+        except NotImplementedError:
+            continue
+        if older < version and not _uses_what_is_new(node, version, older):
+            add_converter(node.op_type, version, node.domain)(translation)
+            return True
+        return older == version
+    return False
+
+
+def _uses_what_is_new(node: onnx.NodeProto, version: int, older: int) -> bool:
+    """Tell whether a node has an attribute or an input that the older version of its operator does not know."""
+    new, old = (defs.get_schema(node.op_type, max_inclusive_version=v, domain=node.domain) for v in (version, older))
+    added = [a for a in node.attribute if a.name in new.attributes and a.name not in old.attributes]
+    return len(node.input) > old.max_input or any(a != new.attributes[a.name].default_value for a in added)
+
+
+def _rewrite(node: onnx.NodeProto, constants: Constants) -> None:
+    """Write what a node says in a newer way as its operator's older versions do, where that says the same."""
+    while node.input and not node.input[-1]:
+        node.input.pop()
+    if node.op_type.startswith("Reduce") and node.op_type != "ReduceSum" and node.input[-1] in constants:
+        axes = numpy_helper.to_array(constants[node.input.pop()]).tolist()
+        node.attribute.extend([helper.make_attribute("axes", axes)] if axes else [])
+    if node.op_type == "Reshape":
+        # 0 means an empty tensor here, else the extent that stands there; of a computed shape no extent is 0.
+        shape = constants.get(node.input[1])
+        if shape is None or numpy_helper.to_array(shape).all():
+            _drop(node, "allowzero")
+
+
+def _drop(node: onnx.NodeProto, name: str) -> None:
+    for attribute in [a for a in node.attribute if a.name == name]:
+        node.attribute.remove(attribute)
+
+
+class Function(nn.Module):
+    """A function of tensors as a module."""
+
+    def __init__(self, function: Callable[..., Tensor]) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(self, *tensors: Tensor) -> Tensor:
+        return self.function(*tensors)
+
+
+class EvenSplit(nn.Module):
+    """Split into a number of equal parts, of which the last may be smaller."""
+
+    def __init__(self, count: int, axis: int) -> None:
+        super().__init__()
+        self.count, self.axis = count, axis
+
+    def forward(self, x: Tensor) -> tuple[Tensor, ...]:
+        return x.split(-(-x.shape[self.axis] // self.count), self.axis)
+
+
+Build = Callable[[OnnxNode], nn.Module]
+TRANSLATED: dict[str, Callable[[onnx.NodeProto, Constants], bool]] = {}
+"""Operators that are translated here, and for which of their nodes."""
+
+
+def _translates(operation: str, where: Callable[[onnx.NodeProto, Constants], bool] = lambda *_: True) -> Callable:
+    """Register what makes a module of an operator's node."""
+
+    def register(build: Build) -> Build:
+        def convert(node: OnnxNode, graph: OnnxGraph) -> OperationConverterResult:
+            inputs = tuple(name for name in node.input_values if name)
+            return OperationConverterResult(build(node), OnnxMapping(inputs, node.output_values))
+
+        add_converter(operation, 1, OURS)(convert)
+        TRANSLATED[operation] = where
+        return build
+
+    return register
+
+
+def _clips_otherwise(node: onnx.NodeProto, constants: Constants) -> bool:
+    return len(node.input) > 1 and not all(name in constants for name in node.input[1:])
+
+
+@_translates("Clip", _clips_otherwise)
+def _clip(node: OnnxNode) -> nn.Module:
+    """Clip by bounds that are computed, or by one of two."""
+    bounds = [name for name, value in zip(("min", "max"), node.input_values[1:], strict=False) if value]
+    return Function(partial(_clamp, bounds))
+
+
+def _clamp(bounds: list[str], x: Tensor, *values: Tensor) -> Tensor:
+    return torch.clamp(x, **dict(zip(bounds, values, strict=True)))
+
+
+@_translates("Flatten")
+def _flatten(node: OnnxNode) -> nn.Module:
+    return Function(partial(_flatten_before, node.attributes.get("axis", 1)))
+
+
+def _flatten_before(axis: int, x: Tensor) -> Tensor:
+    return x.reshape(math.prod(x.shape[:axis]), -1)
+
+
+@_translates("Gelu")
+def _gelu(node: OnnxNode) -> nn.Module:
+    return Function(partial(F.gelu, approximate=node.attributes.get("approximate", "none")))
+
+
+SAMPLING = {"linear": "bilinear", "cubic": "bicubic"}
+"""Names of opset 20; torch has those of opset 16."""
+
+
+@_translates("GridSample")
+def _grid_sample(node: OnnxNode) -> nn.Module:
+    mode, padding = node.attributes.get("mode", "linear"), node.attributes.get("padding_mode", "zeros")
+    corners = bool(node.attributes.get("align_corners", 0))
+    return Function(partial(F.grid_sample, mode=SAMPLING.get(mode, mode), padding_mode=padding, align_corners=corners))
+
+
+@_translates("LayerNormalization", lambda node, _: len(node.output) == 1)
+def _layer_norm(node: OnnxNode) -> nn.Module:
+    axis, epsilon = node.attributes.get("axis", -1), node.attributes.get("epsilon", 1e-5)
+    return Function(partial(_normalize_from, axis, epsilon))
+
+
+def _normalize_from(axis: int, epsilon: float, x: Tensor, scale: Tensor, bias: Tensor | None = None) -> Tensor:
+    return F.layer_norm(x, x.shape[axis:], scale, bias, epsilon)
+
+
+@_translates("Split", lambda node, _: any(a.name == "num_outputs" for a in node.attribute))
+def _split(node: OnnxNode) -> nn.Module:
+    return EvenSplit(node.attributes["num_outputs"], node.attributes.get("axis", 0))

@@ -1,0 +1,172 @@
+"""A card's folder as it joins a leaderboard: its files are read, checked, bounded, and written anew.
+
+Nothing else of a folder is read, no link in it is followed, and what can be computed from the rows is.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from cloak_core.core.evaluation.results import Results, pool
+from cloak_core.core.pictures import open_picture, save_picture
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays, sha256_record
+from cloak_core.files.reading import MAX_JSON_BYTES, read_json
+from cloak_core.files.writing import new_folder, write_json
+from cloak_core.studies.card.figures import card_of, differences, fixed
+from cloak_core.studies.card.leaderboard import read_card
+from cloak_core.studies.card.page import FLAT, PAGES, SIDES, place_of
+from cloak_core.studies.card.parts import ROWS, keep_rows, parts_of, read_rows
+from cloak_core.studies.card.protocol import SIZES, Size
+from cloak_core.studies.card.schema import CARD, PICTURES, take
+from cloak_core.studies.report.page import MAX_PICTURE
+from cloak_core.studies.report.pictures import describe
+from cloak_core.studies.report.words import file_name
+
+MAX_ROWS = 64 << 20
+"""Bytes of a file of rows."""
+DESCRIBED = ("trial", "body", "angle", "distance", "background")
+"""What pictures.json says of a picture's trial."""
+LISTED = ("card.json", "pictures.json", f"{ROWS}/*.npz", "pictures/*/*.jpg", "pictures/*/*.png", *PAGES)
+"""All that a card's folder in a leaderboard holds."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """All that joins of a card's folder."""
+
+    card: dict
+    rows: dict[str, list[Results]]
+    """By part, a table for each repetition."""
+    pictures: dict
+    images: dict[str, Image.Image]
+    """By path in the card's folder."""
+
+    @property
+    def name(self) -> str:
+        """The folder's name: the detector's, and a hash of the figures and of the rows."""
+        tables = [table for results in self.rows.values() for one in results for table in (one.images, one.boxes)]
+        rows = sha256_arrays(*(table["score"].to_numpy() for table in tables))
+        return f"{file_name(self.card['spec'])[:60]}-{sha256_record([self.card, rows])[:12]}"
+
+
+def read_told(folder: Path) -> tuple[dict, dict, Size]:
+    """Read what a card says, what of it only itself can say (`schema.CARD`), and its size. InputError: see there."""
+    path = plain(folder, "card.json", most=MAX_JSON_BYTES)
+    said = read_card(path)
+    told = take(CARD, said, f"{path}: ")
+    if told["size"] not in SIZES:
+        raise InputError(f"{path}: size is {told['size']!r}, none of {', '.join(SIZES)}")
+    if list(told["materials"]["detectors"]) != [told["spec"]]:
+        raise InputError(f"{path}: materials.detectors has no digest of {told['spec']}")
+    size = SIZES[told["size"]]
+    _hold(path, fixed(size), {key: said.get(key) for key in fixed(size)})
+    return said, told, size
+
+
+def read_entry(folder: Path) -> Entry:
+    """Read a card's folder, and compute its figures again from its rows.
+
+    InputError: names the file and the place of the first thing that does not hold.
+    """
+    said, told, size = read_told(folder)
+    path, parts = folder / "card.json", parts_of(told, size)
+    for name in sorted(name for part in parts for name in part.files):
+        plain(folder, ROWS, name, most=MAX_ROWS)
+    files = [name for part in parts for name in part.files]
+    for other in sorted((folder / ROWS).glob("*.npz")):
+        if other.name not in files:
+            raise InputError(f"{other}: of no part of the card")
+    try:
+        rows = read_rows(folder, told, size)
+        card = card_of(told, size, rows)
+        _hold(path, card, said)
+        pictures, images = _read_pictures(folder, rows, size)
+    except InputError:
+        raise
+    except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+        raise InputError(f"{path}: not the figures of a card ({type(error).__name__}: {error})") from None
+    return Entry(card, rows, pictures, images)
+
+
+def _hold(path: Path, fresh: dict, said: dict) -> None:
+    wrong = next(differences(fresh, said), None)
+    if wrong is not None:
+        raise InputError(f"{path}: {wrong}")
+
+
+def plain(folder: Path, *names: str, most: int) -> Path:
+    """Name a file in a folder that is no link, in no linked folder, and not longer than `most` bytes (InputError)."""
+    path = folder
+    for name in names:
+        path /= name
+        if path.is_symlink():
+            raise InputError(f"{path}: a link; a card's folder holds its files themselves")
+    if path.is_file() and path.stat().st_size > most:
+        raise InputError(f"{path}: larger than any of its kind taken here")
+    return path
+
+
+def _read_pictures(folder: Path, rows: dict[str, list[Results]], size: Size) -> tuple[dict, dict[str, Image.Image]]:
+    """Read pictures.json and the pictures that it names; what a picture shows has to be what the rows say."""
+    path = plain(folder, "pictures.json", most=MAX_JSON_BYTES)
+    told, images = take(PICTURES, read_json(path), f"{path}: "), {}
+    for part, shown, files, most in _listed(told, size):
+        if "trial" in shown:
+            _hold(path, describe(pool(rows[part]), shown["trial"]), {key: shown[key] for key in DESCRIBED})
+        for name in files:
+            place = ("pictures", place_of(part), name)
+            with open_picture(plain(folder, *place, most=MAX_PICTURE)) as picture:
+                if max(picture.size) > most or part not in rows:
+                    raise InputError(f"{Path(*place)}: larger than the card's pictures, or of no part of it")
+                images["/".join(place)] = picture.convert("RGB" if name.endswith(".jpg") else "RGBA")
+    return told, images
+
+
+def _listed(told: dict, size: Size) -> Iterator[tuple[str, dict, list[str], int]]:
+    """List what pictures.json shows: part, what is said of it, files, and their largest side in pixels."""
+    for shown in told["missed"]:
+        yield "clean", shown, [shown["clothing"]["file"]], size.pixels
+    for shown in told["alarms"]:
+        yield "clean", shown, [shown["bare"]["file"]], size.pixels
+    for part, pairs in told["hidden"].items():
+        for shown in pairs:
+            yield part, shown, [shown[worn]["file"] for worn in ("clothing", "logo")], size.pixels
+    for shown in told["cloaks"]:
+        yield shown["part"], shown, [shown[side] for side in SIDES if shown.get(side)], FLAT
+
+
+def write_entry(entry: Entry, board: Path) -> Path:
+    """Write a card into its own folder of a leaderboard, at one rename; one that is there is left as it is."""
+    target = board / entry.name
+    if target.exists():
+        return target
+    with new_folder(target) as folder:
+        write_json(folder / "card.json", entry.card)
+        write_json(folder / "pictures.json", entry.pictures)
+        for part in parts_of(entry.card, SIZES[entry.card["size"]]):
+            keep_rows(folder, part, entry.rows[part.name])
+        for place, image in entry.images.items():
+            (folder / place).parent.mkdir(parents=True, exist_ok=True)
+            options = {"quality": 92, "subsampling": 0} if place.endswith(".jpg") else {"optimize": True}
+            save_picture(folder / place, image, **options)
+    return target
+
+
+def remove_card(folder: Path) -> None:
+    """Remove a card's folder; where it holds anything else, or a link, remove card.json alone."""
+    files = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
+    if all(not path.is_symlink() and _is_listed(path.relative_to(folder).as_posix()) for path in files):
+        shutil.rmtree(folder)
+    else:
+        (folder / "card.json").unlink()
+
+
+def _is_listed(place: str) -> bool:
+    return any(fnmatch.fnmatchcase(place, pattern) for pattern in LISTED)
