@@ -1,13 +1,17 @@
 """Runs that were stopped, damaged or finished go on, to the same bits, or are refused by name."""
 
+import contextlib
 import json
 import os
+import shutil
 import signal
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cloak_core.core import run_folder
+from cloak_core.core import loop
 from cloak_core.core.events import read_events
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
@@ -127,13 +131,15 @@ def test_a_run_of_an_earlier_version_resumes_with_the_defaults(tmp_path):
 
 def test_a_run_that_appears_meanwhile_is_gone_on_with(tmp_path, monkeypatch):
     """Another process makes the folder between our look and our start: resuming goes on, a new run is refused."""
-    start = run_folder._start
+    make = loop.new_folder
 
-    def twice(*arguments: object) -> None:
-        start(*arguments)
-        start(*arguments)
+    @contextlib.contextmanager
+    def after_another(path: Path) -> Iterator[Path]:
+        with make(path) as ours:
+            yield ours
+            shutil.copytree(ours, path)
 
-    monkeypatch.setattr(run_folder, "_start", twice)
+    monkeypatch.setattr(loop, "new_folder", after_another)
     with pytest.raises(InputError, match="first"):
         run(tmp_path / "first", steps=2)
     run(tmp_path / "second", steps=2, resume=True)
