@@ -175,7 +175,7 @@ def photograph_view(
         width=size,
         pixels=torch.from_numpy(np.concatenate([number[worn], number[~worn]])),
         coverage=torch.ones(size * size),
-        base_color=torch.zeros(3, 0),
+        base_color=torch.zeros((), device=device).expand(3, size * size),
         front_count=resampling.height,
         map=resampling,
         places=places_of(fit, position, count, jitter),
