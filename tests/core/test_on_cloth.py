@@ -6,7 +6,9 @@ import torch
 from PIL import Image
 
 from cloak_core.core.places import Places
+from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.patterns.cloth import ClothPattern, Grid
+from cloak_core.patterns.footprint import MOST_SQUARES, squares_under
 from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
 
 
@@ -17,6 +19,21 @@ def test_a_face_shows_the_mean_of_the_squares_on_it():
     places = Places.on_cloth(torch.tensor([0, 0, 0, 0, -1]), torch.cat([at, torch.full_like(at, 0.4)]), 1)
     shown = ClothPattern(front_logo(box_bodies()), Grid(1.0, 2, 2)).map(places).apply(torch.from_numpy(checkers))
     assert torch.allclose(shown[:, 0], torch.tensor([0.5, 0.0, 1.0, 0.0, 0.0]))
+
+
+def test_loops_and_torch_find_the_same_squares_under_footprints():
+    """Points, parts of a square, more squares than are visited one by one, far beyond the cloth, and bare places."""
+    random = torch.Generator().manual_seed(0)
+    at = 6 * torch.rand(2, 200, generator=random) - 3
+    extent = 10 ** (4 * torch.rand(2, 200, generator=random) - 4) * (torch.arange(200) % 9 > 0)
+    is_worn = torch.arange(200) % 7 > 0
+    ours = squares_under(at, extent, is_worn, 0.05, 6, 4)
+    with torch_alone():
+        theirs = squares_under(at, extent, is_worn, 0.05, 6, 4)
+    assert torch.equal(ours.crow, theirs.crow) and torch.equal(ours.column, theirs.column)
+    torch.testing.assert_close(ours.weight, theirs.weight, rtol=0, atol=1e-6)
+    torch.testing.assert_close(ours.apply(torch.ones(24, 1))[:, 0], is_worn.float(), rtol=0, atol=1e-5)
+    assert (ours.weight >= 0).all() and int(ours.crow.diff().max()) == MOST_SQUARES**2
 
 
 @pytest.mark.slow

@@ -112,7 +112,7 @@ def dressed_image(fit, framing, color, jitter=EXACT):
     bodies = load_scene("sample")
     ids = np.flatnonzero(bodies.regions["shirt"] | bodies.regions["trousers"]).astype(np.int64)
     view = photograph_view(fit, logo_positions(bodies.topology, ids), len(ids), framing, jitter)
-    canvas = dressed([view], FacePattern(Cover(ids, bodies.topology)), blank(1, framing.size, framing.size))
+    canvas = dressed([view], FacePattern(Cover(ids, bodies.topology)), blank(1, framing.size, framing.size).fill_(0))
     image = canvas.paint(torch.full((len(ids), 3), color))[0].numpy()
     return image, view, view.places.shares.to_scipy()
 

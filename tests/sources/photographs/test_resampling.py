@@ -83,7 +83,7 @@ def test_images_and_gradients_of_both_backends(fitted, framing: str, pattern: st
         values, other = torch.rand(view.map.width, 3), torch.rand(view.map.height, 3)
         products = (view.map.apply(values) * other).sum(), (values * view.map.adjoint(other)).sum()
         torch.testing.assert_close(*products, rtol=1e-5, atol=1e-6)
-        canvas = dressed([view], chosen, blank(1, asked.size, asked.size))
+        canvas = dressed([view], chosen, blank(1, asked.size, asked.size).fill_(0))
         colors = torch.rand(canvas.logo_count, 3, generator=random.manual_seed(1)).requires_grad_()
         image = canvas.paint(colors)
         image.backward(upstream)
