@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detections, Detector
     from cloak_core.core.evaluation.settings import EvaluateSettings, FilmSettings
     from cloak_core.core.logo import Logo, load_logo, make_logo
-    from cloak_core.core.loop import RunResult
     from cloak_core.core.settings import TrainSettings, make_settings
+    from cloak_core.core.training import RunResult
     from cloak_core.detectors.loading import load_detector
     from cloak_core.detectors.maite import SuccessMetric
     from cloak_core.detectors.objects import as_detector

@@ -16,10 +16,10 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.events import OnEvent
 from cloak_core.core.logo import Logo, load_logo
-from cloak_core.core.loop import RunResult
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.settings.values import Angles, from_plain
 from cloak_core.core.surroundings import plain_torch
+from cloak_core.core.training import RunResult
 from cloak_core.detectors.naming import full_spec
 from cloak_core.detectors.objects import Given, as_detector, as_detectors
 from cloak_core.exchange.bodies import Bodies

@@ -21,13 +21,13 @@ from torch import Tensor
 
 from cloak_core.core.batches import Batch, Batcher
 from cloak_core.core.events import OnEvent, read_events
-from cloak_core.core.loop import RunResult, TrainingLoop
 from cloak_core.core.objective import Objective, Step, StepFigures
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.run_folder import RunFolder
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.components import OptimizerSettings
 from cloak_core.core.stopping import StopRequest
+from cloak_core.core.training import RunResult, TrainingLoop
 from cloak_core.core.world import World
 from cloak_core.files.errors import InputError
 
@@ -162,7 +162,7 @@ class Search(TrainingLoop):
     def run_to_end(self, stop: StopRequest) -> SearchResult:
         """Ask until done or told to stop; a checkpoint and the colours are written either way."""
         result = super().run_to_end(stop)
-        rounds = [event for event in read_events(self.run.events) if event.get("type") == "round"]
+        rounds = [event for event in read_events(self.folder.events) if event.get("type") == "round"]
         curve = tuple((event["queries"], event["success"]) for event in rounds)
         return SearchResult(**vars(result), queries=queries_after(self.step, self.cost), curve=curve)
 
@@ -207,7 +207,7 @@ class Search(TrainingLoop):
         asked = queries_after(self.step, self.cost) + self.cost
         # It belongs to the step that begins: a run that goes on from the checkpoint before it measures again.
         facts = {"step": self.step + 1, "success": step.figures.success, "disappearance": step.figures.loss}
-        self._tell("round", queries=asked, **facts)
+        self.tell("round", queries=asked, **facts)
 
     def _directions(self, batch: Batch, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B L 3"]:
         """Draw -1, 0 or 1 for every face and channel, alike within a cell; by (seed, step) and the colours."""

@@ -1,36 +1,32 @@
-"""The loop of one run: from its last checkpoint, or its start, to its end, and everything about losing nothing."""
+"""The loop of whatever goes step by step: its clock, log, checkpoints, stop and resume, and losing nothing.
+
+Training, a search by questions and hardening each hand it a step (`Loop.one_step`) and their state.
+"""
+
+from __future__ import annotations
 
 import contextlib
-import dataclasses
 import time
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.core.batches import Batch, Batcher, Prefetcher
 from cloak_core.core.checkpoints import (
     Checkpoint,
     load_checkpoint,
     receive_checkpoint,
+    remove_unfinished,
     save_checkpoint,
     send_checkpoint,
 )
-from cloak_core.core.detector.scoring import max_person_score
-from cloak_core.core.events import EventLog, OnEvent, read_events, rewind_events
-from cloak_core.core.objective import Objective, Step, StepFigures, gradient_step
-from cloak_core.core.optimizer import ColorOptimizer, learning_rate
-from cloak_core.core.run_folder import RunFolder, save_preview
-from cloak_core.core.settings import TrainSettings
+from cloak_core.core.events import EventLog, OnEvent, rewind_events
 from cloak_core.core.stopping import StopRequest
-from cloak_core.core.world import LostProcess, World
-from cloak_core.exchange.colors import write_colors
+from cloak_core.core.world import ALONE, LostProcess, World
 from cloak_core.files.errors import InputError
-
-LIVE_SECONDS = 2.0
-"""Between writes of colors.npy while a run goes on: Blender shows them on the model."""
+from cloak_core.files.locks import lock
+from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, written
 
 
 class TrainingError(InputError):
@@ -40,246 +36,173 @@ class TrainingError(InputError):
     """
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class RunResult:
-    """How a run ended."""
+class LoopFolder:
+    """Paths of a folder that a loop writes into. Make one with `opened`."""
 
-    out: Path
-    """The run folder."""
-    step: int
-    """Steps done, earlier parts of a resumed run included."""
-    steps: int
-    """Steps that were asked for."""
-    seconds: float
-    """Training time, earlier parts of a resumed run included."""
-    figures: StepFigures | None
-    """Of the last step, from the event log where this call had nothing left to do; None when even that is lost."""
-    stopped: str
-    """Why it was ended early ("SIGINT", "cancel file", "time budget"); "" when it is complete."""
-    colors: np.ndarray
-    """[L, 3] float32: those in colors.npy."""
-    report: dict[str, float] = dataclasses.field(default_factory=dict)
-    """What techniques measured of the colours."""
+    work = "working"
+    """What is done in the folder, for who finds it in use."""
+    folders: tuple[str, ...] = ("checkpoint",)
+    """Folders of its own in it."""
 
-    def record(self) -> dict:
-        """Make the record that the command line prints."""
-        figures = dataclasses.asdict(self.figures) if self.figures else {}
-        record = {
-            "out": str(self.out),
-            "step": self.step,
-            "steps": self.steps,
-            "seconds": round(self.seconds, 2),
-            "distinct_colors": len(np.unique(self.colors, axis=0)),
-        }
-        stopped = {"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {}
-        return record | self.report | figures | stopped
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = path / "config.json"
+        self.events = path / "events.jsonl"
+        self.checkpoint = path / "checkpoint"
+        self.cancel = path / "cancel"
+
+    @contextlib.contextmanager
+    def opened(self, resume: bool, start: Callable[[Path], None], check: Callable[[], None]) -> Iterator[None]:
+        """Create the folder, or open it to resume; nobody else works in it until the block ends.
+
+        start: writes what a new folder begins with; check: refuses to go on with what it holds. InputError: it exists
+        and is not to be resumed, holds something else, or is in use. Resuming what does not exist yet starts it, so
+        that one command serves every restart.
+        """
+        path = self.path
+        if is_taken(path) and not resume:
+            raise InputError(f"{path}: exists already (--resume goes on with it)")
+        if not is_taken(path):
+            try:
+                with new_folder(path) as temporary:
+                    start(temporary)
+                    for name in self.folders:
+                        (temporary / name).mkdir()
+            except InputError:
+                # Another process may have been quicker by a moment; whose folder it is then, is asked below.
+                if not (resume and path.exists()):
+                    raise
+        if not self.config.exists():
+            raise InputError(f"{path}: not a folder of {self.work} (no config.json in it)")
+        with lock(path / ".lock", busy=f"{path}: another process is {self.work} in this folder"):
+            check()
+            for name in self.folders:
+                # A folder may come from elsewhere; nothing of it may lead outside.
+                folder = path / name
+                if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+                    raise InputError(f"{folder}: not a folder of its own")
+                with written(folder):
+                    folder.mkdir(exist_ok=True)
+                remove_all_leftovers(folder)
+            remove_unfinished(self.checkpoint)
+            remove_all_leftovers(path)
+            with written(self.cancel):
+                self.cancel.unlink(missing_ok=True)
+            yield
 
 
-class TrainingLoop:
-    """One run from its last checkpoint (or its start) to its end."""
+class Loop:
+    """Steps from the last checkpoint, or the start, to the end."""
 
     def __init__(
         self,
-        settings: TrainSettings,
-        run: RunFolder,
-        batcher: Batcher,
-        objective: Objective,
-        optimizer: ColorOptimizer,
-        on_event: OnEvent | None,
-        world: World,
+        folder: LoopFolder,
+        steps: int,
+        checkpoint_every: int,
+        on_event: OnEvent | None = None,
+        world: World = ALONE,
+        device: torch.device | str = "cpu",
     ) -> None:
-        self.run = run
-        self.batcher = batcher
-        self.objective = objective
-        self.techniques = objective.techniques
-        self.settings = settings
-        self.sampler = batcher.sampler
-        self.optimizer = optimizer
+        """steps: asked for; checkpoint_every: steps between checkpoints, 0 writes one at the end."""
+        self.folder, self.steps, self.checkpoint_every = folder, steps, checkpoint_every
         self.world = world
+        self.device = torch.device(device)
         self.step = 0
         self._earlier = 0.0
-        self._started = self._shown = time.perf_counter()
+        self._started = time.perf_counter()
         self._damaged = self._restore()
         # Rank 0 alone writes; the others only compute.
-        self.log = EventLog(run.events, on_event) if world.is_first else None
-        self.batches = Prefetcher(batcher, world.rank, world.size)
+        self.log = EventLog(folder.events, on_event) if world.is_first else None
 
-    def run_to_end(self, stop: StopRequest) -> RunResult:
-        """Train until done or told to stop; a checkpoint and the colours are written either way."""
-        try:
-            figures, reason = self._steps(stop)
-        finally:
-            self.batches.close()
-            if self.log:
-                self.log.close()
-        colors = self.optimizer.finished()
-        return RunResult(
-            out=self.run.path,
-            step=self.step,
-            steps=self.sampler.steps,
-            seconds=self.seconds,
-            figures=figures or self._recorded_figures(),
-            stopped=reason,
-            colors=self._on_faces(colors),
-            report=self.techniques.report(_as_array(colors)),
-        )
+    # --- what a kind of work hands over
 
-    def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
-        figures = None
+    def one_step(self) -> None:
+        """Do one step: count it in `step` and tell it."""
+        raise NotImplementedError
+
+    def state(self) -> Mapping[str, Tensor]:
+        """Give everything that later steps depend on."""
+        raise NotImplementedError
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Continue from `state()`. KeyError, ValueError or RuntimeError: the tensors belong to other work."""
+        raise NotImplementedError
+
+    def show(self) -> None:
+        """Write what whoever watches sees, after a step without a checkpoint."""
+
+    def write_result(self) -> None:
+        """Write what was reached, beside a checkpoint."""
+
+    # --- the loop
+
+    def run(self, stop: StopRequest, **told: object) -> str:
+        """Step until done or told to stop, with a checkpoint either way; returns why it ended early, "" where not.
+
+        told: more of the first event.
+        """
         reason = ""
-        changes = {"changes": self.run.changes} if self.run.changes else {}
-        self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged, **changes)
+        self.tell("resume" if self.step else "start", steps=self.steps, **told)
         try:
-            while not self._is_done() and not reason:
-                figures = self._one_step()
-                if self.world.is_first and self._due(self.settings.run.snapshot_every):
-                    self._write_snapshot()
-                reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
-                if self._is_done() or reason or self._due(self.settings.run.checkpoint_every):
-                    self._save()
-                else:
-                    self._show()
+            while not self.is_done() and not reason:
+                self.one_step()
+                reason = self.world.agree(stop.reason(self.seconds), self.device)
+                if self.is_done() or reason or self.due(self.checkpoint_every):
+                    self.save()
+                elif self.world.is_first:
+                    self.show()
         except LostProcess as lost:
-            self._save()
-            message = f"{self.run.path}: lost another process of this run after step {self.step} ({lost})"
+            self.save()
+            message = f"{self.folder.path}: lost another process of this run after step {self.step} ({lost})"
             raise TrainingError(f"{message}; a checkpoint is written, --resume goes on") from None
         except InputError:
             # A background that vanished, a detector gone wrong: keep what was reached, unless the disk is the trouble.
             with contextlib.suppress(InputError):
-                self._save()
+                self.save()
             raise
-        reason = "" if self._is_done() else reason
-        self._tell("end", outcome="stopped" if reason else "done", reason=reason)
-        return figures, reason
+        return "" if self.is_done() else reason
 
-    def _is_done(self) -> bool:
-        return self.step >= self.sampler.steps
-
-    def _recorded_figures(self) -> StepFigures | None:
-        """Read the last step's figures from the event log: a run that was complete before has no others."""
-        names = [field.name for field in dataclasses.fields(StepFigures)]
-        for event in reversed(read_events(self.run.events) if self.world.is_first else []):
-            if event.get("type") == "step" and all(isinstance(event.get(name), float) for name in names):
-                return StepFigures(*(event[name] for name in names))
-        return None
+    def is_done(self) -> bool:
+        """Whether all steps are done."""
+        return self.step >= self.steps
 
     @property
     def seconds(self) -> float:
-        """Training time so far, earlier parts included; from a clock that cannot run backwards."""
+        """Time so far, earlier parts included; from a clock that cannot run backwards."""
         return self._earlier + time.perf_counter() - self._started
 
-    def _one_step(self) -> StepFigures:
-        lr = learning_rate(self.settings.optimization, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
-        self.optimizer.reach(self.step, self.sampler.steps)
-        batch = self.batches.batch(self.step)
-        part = len(batch) / self.sampler.images_of(self.step)
-        step = self._gradient(batch, part)
-        if not step.is_finite:
-            self._refuse(step)
-        self._watch(step)
-        self.optimizer.update(lr)
-        self.step += 1
-        self._tell("step", **dataclasses.asdict(step.figures), **self._facts(lr))
-        # A run that is shorter than the time between previews has one at its end.
-        is_short_and_done = self.step == self.sampler.steps < self.settings.run.preview_every
-        if self.world.is_first and (self._due(self.settings.run.preview_every) or is_short_and_done):
-            path = self.run.previews / f"step-{self.step:08d}.png"
-            save_preview(path, step.images, next(iter(step.detections.values())), self.settings.run.threshold)
-            self._tell("preview", path=f"previews/{path.name}")
-        return step.figures
-
-    def _gradient(self, batch: Batch, part: float) -> Step:
-        """Leave the gradient of a batch in the optimizer. `part`: this process's fraction of the batch's images."""
-        return gradient_step(self.objective, self.optimizer, batch, self.world, part, self.step)
-
-    def _facts(self, lr: float) -> dict[str, object]:
-        """Say what the event of a step holds beside its figures."""
-        return {"lr": lr}
-
-    def _watch(self, step: Step) -> None:
-        """Tell techniques how surely each detector found a person in the batch's images, every process's."""
-        device = self.batcher.device
-        for technique in self.techniques.at("observe"):
-            asked = self.objective.ensemble.asked(self.step)
-            total = torch.zeros(len(asked), dtype=torch.float64, device=device)
-            for place, number in enumerate(asked):
-                if number in step.detections:
-                    point = self.objective.detectors[number].operating_point
-                    total[place] = technique.level(max_person_score(step.detections[number]).double(), point).sum()
-            mean = (self.world.sum(total) / self.sampler.images_of(self.step)).tolist()
-            technique.observe(dict(zip(asked, mean, strict=True)))
-
-    def _refuse(self, step: Step) -> None:
-        names = [
-            self.objective.detectors[number].spec
-            for number, detections in step.detections.items()
-            if not (torch.isfinite(detections.scores).all() and torch.isfinite(detections.boxes).all())
-        ]
-        blame = f"; not finite: the output of {', '.join(names)}" if names else ""
-        what = "its loss" if not np.isfinite(step.figures.loss) else "the gradient of its loss"
-        self._tell("error", message=f"{what} is not finite")
-        raise TrainingError(
-            f"{self.run.path}: step {self.step}: {what} is not finite{blame}; colours are left as before"
-        )
-
-    def _due(self, every: int) -> bool:
+    def due(self, every: int) -> bool:
+        """Tell whether what happens every so many steps happens after this one; never with 0."""
         return every > 0 and self.step % every == 0
 
-    def _tell(self, kind: str, **more: object) -> None:
+    def tell(self, kind: str, **more: object) -> None:
+        """Log an event."""
         if self.log:
             self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
 
-    def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
-        """Give the colours of the logo's faces: of a cloth, the mean of the squares on each face.
+    def close(self) -> None:
+        """Close the log."""
+        if self.log:
+            self.log.close()
 
-        Where a technique restricts colours the mean might not be allowed; then it is the colour of the square under the
-        face's centre.
-        """
-        is_exact = any(technique.is_exact for technique in self.techniques)
-        return self.batcher.pattern.on_faces(_as_array(colors), is_exact)
-
-    def _save(self) -> None:
-        """Write a checkpoint and the colours."""
+    def save(self) -> None:
+        """Write what was reached, and a checkpoint."""
         if self.world.is_first:
-            self._write_colors()
-            tensors = self.optimizer.state() | self.techniques.state()
-            save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
-            self._tell("checkpoint")
-
-    def _write_snapshot(self) -> None:
-        colors = self.optimizer.finished()
-        self.run.write_snapshot(self.step, self._on_faces(colors), self.batcher.pattern.picture(_as_array(colors)))
-
-    def _show(self) -> None:
-        """Write the colours every now and then, for whoever watches."""
-        if self.world.is_first and time.perf_counter() - self._shown >= LIVE_SECONDS:
-            self._write_colors()
-
-    def _write_colors(self) -> None:
-        """Write the cloth, where one is trained, then the faces' colours: whoever watches these finds both new."""
-        colors = self.optimizer.finished()
-        picture = self.batcher.pattern.picture(_as_array(colors))
-        if picture is not None:
-            self.run.write_cloth(picture)
-        write_colors(self.run.colors, self._on_faces(colors))
-        self._shown = time.perf_counter()
+            self.write_result()
+            save_checkpoint(self.folder.checkpoint, Checkpoint(self.step, self.seconds, dict(self.state())))
+            self.tell("checkpoint")
 
     def _restore(self) -> list[str]:
         """Load the last sound checkpoint, if any, in every process; returns what was wrong with later ones."""
-        checkpoint, damaged = self.world.on_rank0(lambda: load_checkpoint(self.run.checkpoint)) or (None, [])
+        checkpoint, damaged = self.world.on_rank0(lambda: load_checkpoint(self.folder.checkpoint)) or (None, [])
         checkpoint = receive_checkpoint(self.world.broadcast(send_checkpoint(checkpoint)))
         if checkpoint is not None:
             try:
-                self.optimizer.load(checkpoint.tensors)
-                self.techniques.load(checkpoint.tensors)
-            except (KeyError, ValueError) as error:
-                raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
+                self.load(checkpoint.tensors)
+            except (KeyError, ValueError, RuntimeError) as error:
+                raise InputError(f"{self.folder.checkpoint}: holds another run's state ({error})") from None
             self.step = checkpoint.step
             self._earlier = checkpoint.time
         if self.world.is_first:
-            rewind_events(self.run.events, self.step)
+            rewind_events(self.folder.events, self.step)
         return damaged
-
-
-def _as_array(colors: Tensor) -> Float[np.ndarray, "L 3"]:
-    return colors.detach().cpu().numpy().astype(np.float32, copy=True)

@@ -15,37 +15,35 @@ from jaxtyping import Float, Float32
 from PIL import Image
 from torch import Tensor
 
-from cloak_core.core.checkpoints import remove_unfinished
 from cloak_core.core.detector.drawing import draw_boxes
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.detector.scoring import person_boxes
 from cloak_core.core.logo import Logo
+from cloak_core.core.loop import LoopFolder
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.run_config import changes_around, check_same, read_config, write_config
 from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import write_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
-from cloak_core.files.locks import lock
-from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, written
+from cloak_core.files.writing import remove_all_leftovers, written
 
 _log = logging.getLogger("cloak")
 
 
-class RunFolder:
+class RunFolder(LoopFolder):
     """Paths of a run. Make one with `open_run`."""
 
+    work = "training"
+    folders = ("checkpoint", "previews")
+
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.config = path / "config.json"
+        super().__init__(path)
         self.logo = path / "logo.npy"
-        self.events = path / "events.jsonl"
         self.colors = path / "colors.npy"
         self.cloth = path / CLOTH_FILE
-        self.checkpoint = path / "checkpoint"
         self.previews = path / "previews"
         self.snapshots = path / "snapshots"
-        self.cancel = path / "cancel"
         self.changes: list[str] = []
         """What is not as it was when the run began, though it decides at most the last bits of the result."""
 
@@ -75,50 +73,27 @@ def _save_cloth(path: Path, picture: Float32[np.ndarray, "h w 3"]) -> None:
 def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[RunFolder]:
     """Create a run folder, or open it to resume; nobody else can train in it until the block ends.
 
-    InputError: the folder exists and is not to be resumed, was started with another configuration (the first
-    difference is named), is no run folder, or is being written by another process. Resuming what does not exist yet
-    starts it, so that one command serves every restart.
+    InputError: see `LoopFolder.opened`; it was started with another configuration (the first difference is named).
     """
-    path = Path(path)
-    if is_taken(path) and not resume:
-        raise InputError(f"{path}: exists already (--resume goes on with it)")
-    if not is_taken(path):
-        try:
-            _start(path, config, logo)
-        except InputError:
-            # Another process may have been quicker by a moment; whose folder it is then, is asked below.
-            if not (resume and path.exists()):
-                raise
-    run = RunFolder(path)
-    if not run.config.exists():
-        raise InputError(f"{path}: not a run folder (no config.json in it)")
-    with lock(path / ".lock", busy=f"{path}: another process is training in this folder"):
-        recorded = read_config(path)
-        check_same(recorded, config, path)
+    run = RunFolder(Path(path))
+
+    def start(folder: Path) -> None:
+        write_config(folder, config)
+        write_face_list(folder / "logo.npy", logo.face_ids, logo.topology)
+
+    def check() -> None:
+        recorded = read_config(run.path)
+        check_same(recorded, config, run.path)
         run.changes = changes_around(recorded, config)
         if run.changes:
             began = ", ".join(run.changes)
-            _log.warning("%s: began with %s: colours may differ in bits from those of an unbroken run", path, began)
-        for folder in (run.checkpoint, run.previews):
-            # A run folder may come from elsewhere; nothing of it may lead outside.
-            if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-                raise InputError(f"{folder}: not a folder of its own")
-            with written(folder):
-                folder.mkdir(exist_ok=True)
-        remove_unfinished(run.checkpoint)
-        for folder in (path, run.previews, *[run.snapshots] * (not run.snapshots.is_symlink())):
-            remove_all_leftovers(folder)
-        with written(run.cancel):
-            run.cancel.unlink(missing_ok=True)
+            words = "%s: began with %s: colours may differ in bits from those of an unbroken run"
+            _log.warning(words, run.path, began)
+        if not run.snapshots.is_symlink():
+            remove_all_leftovers(run.snapshots)
+
+    with run.opened(resume, start, check):
         yield run
-
-
-def _start(path: Path, config: dict, logo: Logo) -> None:
-    with new_folder(path) as temporary:
-        write_config(temporary, config)
-        write_face_list(temporary / "logo.npy", logo.face_ids, logo.topology)
-        (temporary / "checkpoint").mkdir()
-        (temporary / "previews").mkdir()
 
 
 MOST = 8

@@ -20,7 +20,6 @@ from jaxtyping import Float
 from cloak_core.core.batches import Batcher
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
-from cloak_core.core.loop import RunResult, TrainingLoop
 from cloak_core.core.objective import Objective
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.pattern import Pattern
@@ -30,6 +29,7 @@ from cloak_core.core.settings import TrainSettings
 from cloak_core.core.source import Backdrops, Source
 from cloak_core.core.stopping import stop_request
 from cloak_core.core.technique import Techniques
+from cloak_core.core.training import RunResult, TrainingLoop
 from cloak_core.core.world import World, local_device
 from cloak_core.files.errors import InputError
 

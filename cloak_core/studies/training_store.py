@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.core.events import OnEvent
-from cloak_core.core.loop import RunResult
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.run_config import FILES, decisive
 from cloak_core.core.settings import TrainSettings, settings_record
+from cloak_core.core.training import RunResult
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
 from cloak_core.files.locks import lock

@@ -11,14 +11,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cloak_core import __version__
-from cloak_core.core.checkpoints import remove_unfinished
 from cloak_core.core.detector.protocol import detector_record
+from cloak_core.core.loop import LoopFolder
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
-from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, write_json, written
+from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import people_identity
 from cloak_core.sources.photographs.people import People
@@ -44,15 +43,10 @@ class Material:
     """Those who can be dressed; in cloaks they are to be reported as in their own clothes."""
 
 
-class HardenFolder:
+class HardenFolder(LoopFolder):
     """Paths of a hardening. Make one with `open_folder`."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.config = path / "config.json"
-        self.events = path / "events.jsonl"
-        self.checkpoint = path / "checkpoint"
-        self.cancel = path / "cancel"
+    work = "hardening"
 
 
 def harden_config(settings: HardenSettings, student: Student, material: Material) -> dict:
@@ -75,26 +69,11 @@ def harden_config(settings: HardenSettings, student: Student, material: Material
 def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder]:
     """Make the folder, or open it to resume; nobody else hardens in it until the block ends.
 
-    InputError: it exists and is not to be resumed, was begun with something else (which is named), is no such folder,
-    or is in use.
+    InputError: see `LoopFolder.opened`; it was begun with something else, which is named.
     """
     folder = HardenFolder(path)
-    if is_taken(path) and not resume:
-        raise InputError(f"{path}: exists already (--resume goes on with it)")
-    if not is_taken(path):
-        with new_folder(path) as temporary:
-            write_json(temporary / "config.json", config)
-            (temporary / "checkpoint").mkdir()
-    if not folder.config.exists():
-        raise InputError(f"{path}: not a folder of cloak harden (no config.json in it)")
-    with lock(path / ".lock", busy=f"{path}: another process is hardening in this folder"):
-        _check(read_json(folder.config), config, path)
-        if folder.checkpoint.is_symlink() or not folder.checkpoint.is_dir():
-            raise InputError(f"{folder.checkpoint}: not a folder of its own")
-        remove_unfinished(folder.checkpoint)
-        remove_all_leftovers(path)
-        with written(folder.cancel):
-            folder.cancel.unlink(missing_ok=True)
+    start = lambda new: write_json(new / "config.json", config)
+    with folder.opened(resume, start, lambda: _check(read_json(folder.config), config, path)):
         yield folder
 
 

@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.core.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
-from cloak_core.core.events import EventLog, OnEvent, rewind_events
-from cloak_core.core.loop import TrainingError
+from cloak_core.core.events import OnEvent
+from cloak_core.core.loop import Loop, TrainingError
 from cloak_core.core.stopping import StopRequest, stop_request
-from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.studies.hardening.folder import HardenFolder, Material, harden_config, open_folder
 from cloak_core.studies.hardening.pictures import Decoys, Pictures
@@ -92,8 +89,8 @@ def _settled(settings: HardenSettings, student: Student) -> HardenSettings:
     return settings
 
 
-class Hardening:
-    """One hardening from its last checkpoint, or its start, to its end."""
+class Hardening(Loop):
+    """One hardening as a loop."""
 
     def __init__(
         self,
@@ -104,40 +101,27 @@ class Hardening:
         folder: HardenFolder,
         on_event: OnEvent | None = None,
     ) -> None:
-        self.settings, self.student, self.pool, self.pictures, self.folder = settings, student, pool, pictures, folder
+        self.settings, self.student, self.pool, self.pictures = settings, student, pool, pictures
         student.detector.precision = settings.precision
         self.parameters = list(student.network.parameters())
         self.optimizer = torch.optim.AdamW(self.parameters, settings.lr, weight_decay=0.0)
         self.averaged = {name: value.clone() for name, value in student.network.state_dict().items()}
-        self.step, self._earlier, self._started = 0, 0.0, time.perf_counter()
-        self._restore()
-        self.log = EventLog(folder.events, on_event)
-
-    @property
-    def seconds(self) -> float:
-        """Of hardening so far, earlier parts included."""
-        return self._earlier + time.perf_counter() - self._started
+        super().__init__(folder, settings.steps, settings.checkpoint_every, on_event, device=pool.device)
 
     def run_to_end(self, stop: StopRequest) -> HardenResult:
         """Steps until done or told to stop; a checkpoint and the detector are written either way."""
-        reason, steps = "", self.settings.steps
         try:
-            self._tell("resume" if self.step else "start", steps=steps)
-            while self.step < steps and not reason:
-                self._one_step()
-                reason = stop.reason(self.seconds)
-                if self.step % self.settings.checkpoint_every == 0 or reason or self.step == steps:
-                    self._save()
-            reason = "" if self.step >= steps else reason
+            reason = self.run(stop)
             learned = self.settings.batch + min(self.settings.clean, self.settings.batch)
             shown = learned + self.settings.pictures + self.settings.decoys
             spec = self.student.write(self.averaged, self.folder.path, self.step * shown)
-            self._tell("end", outcome="stopped" if reason else "done", reason=reason, spec=spec)
+            self.tell("end", outcome="stopped" if reason else "done", reason=reason, spec=spec)
         finally:
-            self.log.close()
-        return HardenResult(self.folder.path, spec, self.step, steps, self.seconds, reason)
+            self.close()
+        return HardenResult(self.folder.path, spec, self.step, self.steps, self.seconds, reason)
 
-    def _one_step(self) -> None:
+    def one_step(self) -> None:
+        """See `Loop`."""
         self.student.detector.requires_grad_(False)
         turn, pictures = self.pool.turn(self.step), self.pictures.plain(self.step)
         parts = self._learn(turn.cloaked, turn.clean, pictures, self.pictures.decoys(self.step))
@@ -145,7 +129,7 @@ class Hardening:
         self._average()
         attack = turn.attack
         figures = {} if attack is None else {"success": attack.success, "disappearance": attack.disappearance}
-        self._tell("step", **parts, **figures)
+        self.tell("step", **parts, **figures)
 
     def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor, decoys: Decoys) -> dict[str, float]:
         """Learn from a turn's images; returns the loss and its parts, each a mean over its own images.
@@ -210,34 +194,23 @@ class Hardening:
             if value.is_floating_point():
                 self.averaged[name].lerp_(value, 1 - decay)
 
-    def _tell(self, kind: str, **more: object) -> None:
-        self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 3)} | more)
-
-    def _save(self) -> None:
+    def state(self) -> dict[str, Tensor]:
+        """See `Loop`."""
         # Copies: one parameter may stand under several names, which the file's format refuses.
         tensors = {f"network.{name}": value.clone() for name, value in self.student.network.state_dict().items()}
         tensors |= {f"averaged.{name}": value for name, value in self.averaged.items()}
         for number, state in self.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{number}.{name}": value for name, value in state.items()}
-        save_checkpoint(self.folder.checkpoint, Checkpoint(self.step, self.seconds, tensors | self.pool.state()))
+        return tensors | self.pool.state()
 
-    def _restore(self) -> None:
-        found, _ = load_checkpoint(self.folder.checkpoint)
-        if found is None:
-            return
-        tensors, device = found.tensors, self.pool.device
-        try:
-            for mark, target in (("network.", self.student.network.state_dict()), ("averaged.", self.averaged)):
-                for name, value in target.items():
-                    value.copy_(tensors[mark + name])
-            self._load_adam(
-                {n.removeprefix("adam."): v.to(device) for n, v in tensors.items() if n.startswith("adam.")}
-            )
-            self.pool.load(tensors)
-        except (KeyError, ValueError, RuntimeError) as error:
-            raise InputError(f"{self.folder.checkpoint}: is of another detector ({error})") from None
-        self.step, self._earlier = found.step, found.time
-        rewind_events(self.folder.events, self.step)
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """See `Loop`."""
+        for mark, target in (("network.", self.student.network.state_dict()), ("averaged.", self.averaged)):
+            for name, value in target.items():
+                value.copy_(tensors[mark + name])
+        adam = {name.removeprefix("adam."): value for name, value in tensors.items() if name.startswith("adam.")}
+        self._load_adam({name: value.to(self.pool.device) for name, value in adam.items()})
+        self.pool.load(tensors)
 
     def _load_adam(self, tensors: dict[str, Tensor]) -> None:
         states: dict[int, dict[str, Tensor]] = {}

@@ -11,11 +11,12 @@ import torch
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
 from cloak_core.core.logo import Logo
-from cloak_core.core.loop import RunResult, TrainingError
+from cloak_core.core.loop import TrainingError
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.source import Mixture
 from cloak_core.core.technique import Setup, Techniques
 from cloak_core.core.train import Job, Material, run_training
+from cloak_core.core.training import RunResult
 from cloak_core.core.world import LostProcess, World, join_world, local_device
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
