@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cloak_core.core.evaluation.renderer import render_images
+from cloak_core.studies.body_renderer import BodyRenderer
+from cloak_core.studies.cloaked import Cloaked
 from pycocotools.coco import COCO
 from torchvision.datasets import CocoDetection
 
 from cloak_core.cli import main
-from cloak_core.core.evaluation.renderer import render_images
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.core.logo import load_logo
@@ -19,8 +21,6 @@ from cloak_core.exchange.colors import write_colors
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
 from cloak_core.studies.coco import export_coco, run_lengths
 
 SIZE = 64

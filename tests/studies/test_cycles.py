@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
 from cloak_core.core.evaluation.renderer import render_images
+from cloak_core.studies.body_renderer import BodyRenderer
+from cloak_core.studies.cloaked import Cloaked
+
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.logo import make_logo, select_region
 from cloak_core.files.errors import InputError
@@ -14,8 +16,6 @@ from cloak_core.library import evaluate
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies import cycles
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
 from cloak_core.studies.cycles import CyclesRenderer, NoBlender, image_difference, render_frames, require_blender
 from cloak_core.studies.evaluate import make_renderer
 

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cloak_core.studies.cloaked import open_cloaked
+from cloak_core.studies.printed_cloth import cloth_of_snapshot
+from cloak_core.studies.wearing.dressed import open_dressed
 from PIL import Image
 
 from cloak_core.commands.evaluate import Evaluate
@@ -21,12 +24,9 @@ from cloak_core.library import evaluate, train
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.cloaked import open_cloaked
 from cloak_core.studies.evaluate import read_evaluation
-from cloak_core.studies.printed_cloth import cloth_of_snapshot
 from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
 from cloak_core.studies.trainings.run_record import _people
-from cloak_core.studies.wearing.dressed import open_dressed
 from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny

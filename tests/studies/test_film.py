@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cloak_core.studies.body_renderer import BodyRenderer
+from cloak_core.studies.cloaked import Cloaked
 from PIL import Image
 from torch import Tensor
 
@@ -24,8 +26,6 @@ from cloak_core.sources.bodies.people.clothed import clothed_bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.videos import read_frames, save_film
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
 from cloak_core.studies.film import approaches, camera_path, film_renderer, make_film, usual_pace, write_turntable
 from cloak_core.studies.statistics_film import longest_run, track
 

@@ -7,12 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from cloak_core.core.evaluation.renderer import EvaluationRenderer
+from cloak_core.studies.wearing.clothes import clothes_position, controls, read_clothes
+from cloak_core.studies.wearing.renderer import PeopleRenderer, dress, paint
 from PIL import Image
 
 from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.measure import measure
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.view import box_of
 from cloak_core.files.errors import InputError
@@ -20,8 +22,6 @@ from cloak_core.library import wear
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.wearing.clothes import clothes_position, controls, read_clothes
-from cloak_core.studies.wearing.renderer import PeopleRenderer, dress, paint
 from cloak_core.studies.wearing.widths import WIDTHS
 from cloak_core.zoo.entry import entry
 from tests.core.fakes import RedDetector
