@@ -18,6 +18,7 @@ class ChestPattern(ClothPattern):
 
     corner: tuple[float, float] = (0.0, 0.0)
     """Of its left upper corner on the cloth, metres right and down."""
+    period = None
 
     def map(self, places: Places, offset: tuple[float, float] = (0.0, 0.0)) -> SparseMap:
         """See `Pattern`: a place wears it whose middle lies in the picture; what reaches beyond is cut off."""

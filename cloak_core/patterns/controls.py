@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from cloak_core.core.evaluation.controls import CLOTHING, NAMES, RESAMPLED
+from cloak_core.core.evaluation.controls import CLOTHING, NAMES, NATURAL, RESAMPLED, STANDARD
 from cloak_core.core.geometry import face_centres
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.pattern import Pattern
@@ -87,9 +87,10 @@ def _control(name: str, judged: Pattern, seed: int, bodies: Bodies | None) -> Pa
         return RandomColors(cover, seed=seed)
     if name == RESAMPLED:
         return Resampled(cover)
-    if name in NAMES and bodies is not None:
+    if name in NATURAL and bodies is not None:
         return FacePattern(cover, colors=_two_tone(judged.colors, name, face_centres(bodies)[cover.face_ids]))
-    raise InputError(f"control {name!r}: not one of {', '.join(NAMES)}" + (" on people" if name in NAMES else ""))
+    known = NAMES if bodies is not None else (*STANDARD, RESAMPLED)
+    raise InputError(f"--controls: {name!r}: there are {', '.join(known)}")
 
 
 def _two_tone(

@@ -16,17 +16,25 @@ from cloak_core.core.pattern import Pattern, Recolor, as_tensor
 from cloak_core.core.places import Places
 from cloak_core.core.view import BakedView
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
 
 
 @dataclass(frozen=True, eq=False)
 class FacePattern(Pattern):
-    """The faces of a logo. What is only judged needs neither bodies nor a logo's edges."""
+    """The faces of a logo. What is only judged needs neither bodies nor a logo's edges.
+
+    InputError: another number of colours than of faces.
+    """
 
     cover: Cover | Logo
     bodies: Bodies | None = None
     colors: Float32[np.ndarray, "L 3"] | None = None
     """Those that it is judged in."""
+
+    def __post_init__(self) -> None:
+        if self.colors is not None and len(self.colors) != len(self.cover):
+            raise InputError(f"colours for {len(self.colors)} faces, but the logo has {len(self.cover)}")
 
     @property
     def count(self) -> int:

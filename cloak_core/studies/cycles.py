@@ -214,7 +214,7 @@ class CyclesImages(ImageSet):
     def compose(self, indices: Indices, patterns: Sequence[Pattern]) -> Iterator[Float[Tensor, "B 3 H W"]]:
         """See `ImageSet`."""
         rows = self.trials.iloc[np.asarray(indices, np.int64)]
-        behind = self.bare(rows["background"])
+        behind = self.bare(rows["background"].to_numpy())
         shifts = self.shifts(indices).tolist()
         for pattern in patterns:
             name = self.names[pattern.identity]

@@ -44,8 +44,7 @@ def body_images(
     viewpoint: the camera, but for azimuth, elevation and distance. patterns: all that are to be worn. InputError: one
     is another mesh's, or there is no background.
     """
-    if not len(backgrounds):
-        raise InputError("no background to evaluate on")
+    _require_some(backgrounds)
     patterns = [pattern for pattern in patterns if check_topology(pattern.cover, bodies)]
     source = BodySource(bodies, render, viewpoint, on_cloth=any(pattern.needs_cloth for pattern in patterns))
     size = viewpoint.height, viewpoint.width
@@ -60,10 +59,16 @@ def drawn_images(
     device: torch.device | str,
     patterns: Iterable[Pattern],
 ) -> ImageSet:
-    """Draw the images of an evaluation of bodies. angles: azimuths, degrees."""
+    """Draw the images of an evaluation of bodies. angles: azimuths, degrees. InputError: see `body_images`."""
+    _require_some(backgrounds)
     trials = draw_trials(bodies.pose_count, angles, len(backgrounds), bodies.outfit_count, settings)
     render = RenderSettings.of(settings, device=device)
     return body_images(bodies, backgrounds, trials, render, settings.camera, patterns)
+
+
+def _require_some(backgrounds: Backgrounds) -> None:
+    if not len(backgrounds):
+        raise InputError("no background to evaluate on")
 
 
 def people_images(

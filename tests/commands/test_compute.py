@@ -114,7 +114,7 @@ def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp
     def load_scene(spec):
         raise Opened(spec)
 
-    monkeypatch.setattr("cloak_core.studies.cloaked.load_scene", load_scene)
+    monkeypatch.setattr("cloak_core.library.load_scene", load_scene)
     with pytest.raises(Opened, match="sample:unseen"):
         Evaluate(run_folder=run).run()
 

@@ -20,7 +20,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.cloaked import colors_of, open_cloaked
+from cloak_core.studies.opening import open_pattern, open_run
 from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, run_path, shelved, write_entry
 from cloak_core.zoo.starting import read_start
 
@@ -146,8 +146,9 @@ def test_zoo_names_stand_for_run_folders(tmp_path):
     bodies = sample_bodies("unseen")
     logo = load_logo(bodies, folder / "logo.npy")
     colors = read_start(folder, logo)
-    from_spec, config, name = colors_of("zoo:builtin-sample", logo, bodies)
-    assert np.array_equal(from_spec, colors) and config["detectors"] and name.startswith("builtin-sample")
+    pattern, config, name = open_run(folder, read_json(folder / "config.json"), "zoo:builtin-sample", bodies)
+    assert np.array_equal(pattern.colors, colors) and config["detectors"] and name == folder.name, "a part of a path"
+    assert open_pattern("zoo:builtin-sample", logo, bodies)[2] == "zoo:builtin-sample"
     with pytest.raises(InputError, match="zoo:nothing: no such entry"):
         run_path("zoo:nothing")
 
@@ -157,29 +158,32 @@ def test_colours_of_a_file_and_of_a_picture_on_the_uv_map(tmp_path):
     logo = make_logo(bodies, np.arange(100, 140))
     colors = np.random.default_rng(0).random((40, 3)).astype(np.float32)
     write_colors(tmp_path / "c.npy", colors)
-    read, config, name = colors_of(tmp_path / "c.npy", logo, bodies)
-    assert np.array_equal(read, colors) and config is None and name == "c"
+    read, config, name = open_pattern(str(tmp_path / "c.npy"), logo, bodies)
+    assert np.array_equal(read.colors, colors) and config is None and name == "c"
+    with pytest.raises(InputError, match=r"c\.npy: .*40"):
+        open_pattern(str(tmp_path / "c.npy"), make_logo(bodies, np.arange(3)), bodies)
     picture = np.random.default_rng(1).integers(0, 255, (64, 96, 3), dtype=np.uint8)
     Image.fromarray(picture).save(tmp_path / "t.png")
     if bodies.uv is None:
         with pytest.raises(InputError, match="no UV map"):
-            colors_of(tmp_path / "t.png", logo, bodies)
+            open_pattern(str(tmp_path / "t.png"), logo, bodies)
         return
-    seen = colors_of(tmp_path / "t.png", logo, bodies)[0]
+    seen = open_pattern(str(tmp_path / "t.png"), logo, bodies)[0].colors
     face = logo.face_ids[7]
     corners = bodies.uv[bodies.triangle_uv[bodies.triangle_face == face]].mean((0, 1))
     expected = look_up(torch.from_numpy(picture), torch.from_numpy(corners.astype(np.float32))[:, None])
     assert np.abs(seen[7] - expected.numpy()[0]).max() < 0.1
 
 
-def test_a_logo_wears_a_plain_print_as_cloth_and_no_patch():
+def test_a_logo_wears_a_plain_print_as_cloth_and_a_patch_where_the_rig_has_its_chest():
     folder, spec = run_path("zoo:builtin-sample"), "print:checks@tile=0.25"
-    cloaked, training, name = open_cloaked(folder, read_json(folder / "config.json"), "sample:unseen[0:1]", colors=spec)
-    assert (training, name) == (None, spec)
-    assert cloaked.cloth.cloth.metres == 0.25 and set(np.unique(cloaked.cloth.colors)) == {0.0, 1.0}
-    assert cloaked.colors.shape == (len(cloaked.logo), 3) and 0.3 < cloaked.colors.mean() < 0.7
-    with pytest.raises(InputError, match=r"print:checks@patch=0\.3: a patch is for people in photographs"):
-        open_cloaked(folder, read_json(folder / "config.json"), "sample:unseen", colors="print:checks@patch=0.3")
+    bodies, config = sample_bodies("unseen"), read_json(folder / "config.json")
+    pattern, training, name = open_run(folder, config, spec, bodies)
+    assert (training, name, pattern.period) == (None, spec, 0.25) and set(np.unique(pattern.colors)) == {0.0, 1.0}
+    on_faces = pattern.on_faces(pattern.colors)
+    assert on_faces.shape == (len(pattern.cover), 3) and 0.3 < on_faces.mean() < 0.7
+    patch = open_run(folder, config, "print:checks@patch=0.3", bodies)[0]
+    assert 0 < len(patch.cover) < len(pattern.cover)
 
 
 @pytest.mark.slow

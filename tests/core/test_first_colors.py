@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-import torch
 
-from cloak_core.core.cloth import Cloth
-from cloak_core.core.cloth_on_logo import ClothOnLogo
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import load_logo, make_logo
 from cloak_core.core.prints import PRINTS, print_picture
 from cloak_core.core.settings import make_settings
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.patterns.cloth import ClothPattern, Grid
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors, on_squares
+from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors
 from tests.sources.bodies.solids import cube
 
 
@@ -24,13 +23,12 @@ def samples() -> Bodies:
 def test_grey_random_and_clothing(samples: Bodies) -> None:
     logo = load_logo(samples, "chest")
     begin = lambda initial, seed=0: first_colors(
-        make_settings("best", initial=initial).optimization, samples, logo, seed
+        make_settings("best", initial=initial).optimization, FacePattern(logo, samples), samples, seed
     )
     assert np.array_equal(begin("clothing"), samples.face_colors[0, logo.face_ids])
     assert (begin("grey") == 0.5).all() and begin("grey").shape == (len(logo), 3)
-    assert torch.equal(begin("random", 1), begin("random", 1)) and not torch.equal(
-        begin("random", 1), begin("random", 2)
-    )
+    assert np.array_equal(begin("random", 1), begin("random", 1))
+    assert not np.array_equal(begin("random", 1), begin("random", 2))
 
 
 def test_the_animal_looks_out_of_chest_and_back(samples: Bodies) -> None:
@@ -62,26 +60,26 @@ def test_a_small_logo_gets_a_small_animal_and_a_flat_one_none(samples: Bodies) -
 def test_a_cloth_begins_with_a_print_as_sharp_as_its_squares(samples: Bodies) -> None:
     logo = load_logo(samples, "chest")
     settings = make_settings("best", initial="ellipses").optimization
-    on_faces = first_colors(settings, samples, logo)
-    dark = (on_faces == 0).all(dim=1)
-    assert on_faces.shape == (len(logo), 3) and 0.2 < dark.float().mean() < 0.6, "the gaps between the shapes"
+    on_faces = first_colors(settings, FacePattern(logo, samples), samples)
+    dark = (on_faces == 0).all(axis=1)
+    assert on_faces.shape == (len(logo), 3) and 0.2 < dark.mean() < 0.6, "the gaps between the shapes"
     # A square of 1 mm is a pixel of the print; 50 cm hold two pieces in either direction.
     piece = print_picture("ellipses")
     for pieces in (1, 2):
-        cloth = ClothOnLogo.of(Cloth.of(0.25 * pieces, 0.001), samples, logo)
-        squares = on_squares(cloth, settings, on_faces.numpy()).reshape(*2 * [250 * pieces], 3)
+        cloth = ClothPattern(logo, Grid.of(0.25 * pieces, 0.001), bodies=samples)
+        squares = cloth.picture(first_colors(settings, cloth, samples))
         assert np.abs(squares - np.tile(piece / 255, (pieces, pieces, 1))).max() < 0.003
     # What is no whole number of pieces wide is filled without a seam all the same.
-    squares = on_squares(ClothOnLogo.of(Cloth.of(0.3, 0.0012), samples, logo), settings, on_faces.numpy())
-    assert np.abs(squares.reshape(250, 250, 3) - piece / 255).max() < 0.003
+    cloth = ClothPattern(logo, Grid.of(0.3, 0.0012), bodies=samples)
+    assert np.abs(cloth.picture(first_colors(settings, cloth, samples)) - piece / 255).max() < 0.003
 
 
 def test_a_cloth_that_begins_otherwise_takes_the_mean_of_its_faces(samples: Bodies) -> None:
     logo = load_logo(samples, "chest")
-    cloth = ClothOnLogo.of(Cloth.of(0.25, 0.05), samples, logo)
+    cloth = ClothPattern(logo, Grid.of(0.25, 0.05), bodies=samples)
     settings = make_settings("best", initial="random").optimization
-    first = first_colors(settings, samples, logo).numpy()
-    assert np.array_equal(on_squares(cloth, settings, first), cloth.of_faces(first))
+    first = first_colors(settings, FacePattern(logo, samples), samples)
+    assert np.array_equal(first_colors(settings, cloth, samples), cloth.from_faces(first))
 
 
 def test_every_print_can_be_begun_with() -> None:

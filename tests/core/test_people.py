@@ -11,8 +11,8 @@ from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import make_settings
 from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.source import Mixture
-from cloak_core.core.worn import Worn
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fits import fit_people
@@ -59,19 +59,16 @@ def run(out, fits, bodies="sample[0:1]", **changes):
 class DrawsAlone(BodyPlan):
     """A source of which nobody asks a view."""
 
-    works_on = torch.device("cpu")
+    works_on, identity = torch.device("cpu"), None
 
-    def view(self, shown: object, seed: int) -> None:
+    def view(self, shown: object, seed: int | None, pattern: object) -> None:
         raise NotImplementedError
-
-    undressed = view
 
 
 def people_sampler(count: int, poses: int = 1, outfits: int = 1, **changes) -> Sampler:
     """Draws of bodies and of `count` people, without a pixel of them."""
     chosen = settings(**changes)
-    worn = Worn(load_scene("sample[0:1]"), load_logo(load_scene("sample[0:1]"), region="shirt"))
-    people = PeopleSource([object.__new__(Fit)] * count, worn, chosen.photographs, 64, chosen.run.seed)
+    people = PeopleSource([object.__new__(Fit)] * count, 64, chosen.photographs, chosen.run.seed)
     mixed = Mixture(DrawsAlone(chosen.views, poses, outfits), people, chosen.photographs.people_share, chosen.run.seed)
     return Sampler(chosen, mixed, 5)
 
@@ -105,11 +102,12 @@ def test_a_framing_keeps_most_of_the_person(fits):
 
 
 def test_views_depend_on_person_and_seed_alone(fits):
-    logo = load_logo(load_scene("sample[0:1]"), region="shirt")
-    source = PeopleSource(fits, Worn(load_scene("sample[0:1]"), logo), PeopleSettings(), 64)
-    one, same, other = (source.view({"person": 0}, seed) for seed in (5, 5, 6))
-    assert torch.equal(one.base_color, same.base_color) and torch.equal(one.map.weight, same.map.weight)
-    assert one.box != other.box
+    pattern = FacePattern(load_logo(load_scene("sample[0:1]"), region="shirt"))
+    source = PeopleSource(fits, 64, PeopleSettings())
+    one, same, other = (source.view({"person": 0}, seed, pattern) for seed in (5, 5, 6))
+    assert one.box == same.box != other.box and one.stream == same.stream
+    values = torch.rand(one.map.width, 3)
+    assert torch.equal(one.map.apply(values), same.map.apply(values))
 
 
 def test_training_on_photographs_alone_lowers_the_loss(tmp_path, fits):

@@ -9,7 +9,7 @@ from PIL import Image
 from cloak_core.core.pictures import ORIENTATION, read_picture
 from cloak_core.detectors.check import read_image
 from cloak_core.files.errors import InputError
-from cloak_core.studies.wearing.clothes import read_clothes
+from cloak_core.studies.opening import open_pattern
 
 RAMP = np.linspace(0, 1, 40).reshape(5, 8)
 DEPTHS = {
@@ -32,7 +32,7 @@ def test_deep_grey_is_scaled_wherever_it_is_read(name: str, tmp_path: Path) -> N
         read_picture(path),
         read_picture(path, "RGBA")[..., :3],
         (read_image(path).permute(1, 2, 0) * 255).round().numpy(),
-        read_clothes(f"{path}@tile=0.5").picture,
+        open_pattern(f"{path}@tile=0.5")[0].colors.reshape(5, 8, 3) * 255,
     ):
         assert pixels.shape == (5, 8, 3) and np.abs(pixels[..., 0] - 255 * RAMP).max() <= 1
 

@@ -237,18 +237,15 @@ def test_gradient_of_the_whole_chain_against_finite_differences():
     from cloak_core.core.batches import Batcher
     from cloak_core.core.losses import disappearance, total_variation
     from cloak_core.core.sampling import Sampler
-    from cloak_core.core.visibility.settings import RenderSettings
-    from cloak_core.core.worn import Worn
+    from cloak_core.patterns.faces import FacePattern
     from cloak_core.sources.bodies.source import BodySource
-    from cloak_core.sources.bodies.view_cache import ViewCache
 
     bodies, chosen = box_bodies(), settings(batch=2)
     logo = front_logo(bodies)
     backgrounds = noise_backgrounds()
-    worn = Worn(bodies, logo)
-    source = BodySource(bodies, worn, chosen.views, view_cache=ViewCache(bodies, RenderSettings(samples=1)))
+    source = BodySource.trained(bodies, chosen.views)
     sampler = Sampler(chosen, source, len(backgrounds))
-    batch = Batcher(chosen, sampler, backgrounds, worn, torch.device("cpu")).batch(0)
+    batch = Batcher(chosen, sampler, backgrounds, FacePattern(logo, bodies), torch.device("cpu")).batch(0)
     detector = TinyDetector()
     edges, lengths = torch.from_numpy(logo.edges), torch.from_numpy(logo.edge_lengths).float()
 

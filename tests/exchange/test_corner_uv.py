@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cloak_core.core.cloth import corner_places
+from cloak_core.core.places import corner_places
 from cloak_core.core.polygons import per_corner
 from cloak_core.exchange.cloth import cloth_metres, corner_uv
 from cloak_core.exchange.scenes import read_scene, write_scene

@@ -10,14 +10,16 @@ from PIL import Image
 
 from cloak_core.commands.printing import told
 from cloak_core.core.cameras import Camera
-from cloak_core.core.cloth import Cloth, corner_places
 from cloak_core.core.geometry import face_areas
-from cloak_core.core.logo import select_region
+from cloak_core.core.logo import Cover, select_region
 from cloak_core.core.paint import compose
+from cloak_core.core.places import corner_places
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
-from cloak_core.products.baking import Texture, bake, dressed
+from cloak_core.patterns.cloth import ClothPattern, Grid
+from cloak_core.patterns.faces import FacePattern
+from cloak_core.products.baking import Texture, bake
 from cloak_core.products.layout import Layout, lay_out, signed_areas
 from cloak_core.products.printing import OVERPRINTS, nearest_printable, print_logo
 from cloak_core.products.seams import find_borders
@@ -25,7 +27,6 @@ from cloak_core.products.tiling import PAGES, cloth_of, pages, tiles
 from cloak_core.sources.bodies.meshes.importing import import_bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.printed_cloth import PrintedCloth
 
 DPI = 100
 
@@ -46,9 +47,20 @@ def logo(body: Bodies) -> np.ndarray:
     return select_region(body, "chest")
 
 
+def faces_in(body: Bodies, ids: np.ndarray, colors: np.ndarray) -> FacePattern:
+    return FacePattern(Cover(ids, body.topology), colors=np.float32(colors))
+
+
 @pytest.fixture(scope="module")
-def colors(logo: np.ndarray) -> np.ndarray:
-    return np.random.default_rng(3).random((len(logo), 3)).astype(np.float32)
+def noise(body: Bodies, logo: np.ndarray) -> FacePattern:
+    return faces_in(body, logo, np.random.default_rng(3).random((len(logo), 3)))
+
+
+def dressed(body: Bodies, pattern: FacePattern) -> np.ndarray:
+    """Colours of all faces: the pattern's where it is worn, the first outfit's elsewhere."""
+    faces = body.face_colors[0].copy()
+    faces[pattern.cover.face_ids] = pattern.colors
+    return faces
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +69,8 @@ def layout(body: Bodies, logo: np.ndarray) -> Layout:
 
 
 @pytest.fixture(scope="module")
-def texture(body: Bodies, logo: np.ndarray, colors: np.ndarray, layout: Layout) -> Texture:
-    return bake(body, layout, dressed(body, logo, colors), DPI)
+def texture(body: Bodies, noise: FacePattern, layout: Layout) -> Texture:
+    return bake(body, layout, noise, DPI)
 
 
 def look_up(texture: Texture, uv: np.ndarray) -> np.ndarray:
@@ -100,9 +112,9 @@ def test_cutting_lines_surround_each_chart(body: Bodies, layout: Layout) -> None
 
 
 def test_every_face_finds_its_colour_in_the_picture(
-    body: Bodies, logo: np.ndarray, colors: np.ndarray, texture: Texture
+    body: Bodies, logo: np.ndarray, noise: FacePattern, texture: Texture
 ) -> None:
-    wanted = np.rint(dressed(body, logo, colors)[body.triangle_face] * 255)
+    wanted = np.rint(dressed(body, noise)[body.triangle_face] * 255)
     assert np.array_equal(look_up(texture, texture.uv.mean(axis=1))[~np.isin(body.triangle_face, logo)],
                           wanted[~np.isin(body.triangle_face, logo)])  # fmt: skip
     large = np.isin(body.triangle_face, logo) & (np.abs(signed_areas(texture.uv)) * texture.image[..., 0].size > 60)
@@ -122,15 +134,13 @@ def test_no_white_shows_at_the_charts_borders(texture: Texture, layout: Layout, 
 
 
 @pytest.mark.slow
-def test_the_textured_body_looks_like_the_coloured_one(
-    body: Bodies, logo: np.ndarray, colors: np.ndarray, layout: Layout
-) -> None:
+def test_the_textured_body_looks_like_the_coloured_one(body: Bodies, noise: FacePattern, layout: Layout) -> None:
     """Rendered through the picture and through the face colours: within 2/255 but for one pixel in a thousand.
 
     Those lie where a sliver of a face is seen, thinner than the picture's pixels. White noise is the hardest case.
     """
-    faces = dressed(body, logo, colors)
-    texture = bake(body, layout, faces, 150)
+    faces = dressed(body, noise)
+    texture = bake(body, layout, noise, 150)
     corners = texture.uv.reshape(-1, 2)
     plain = replace(body, face_colors=faces[None])
     textured = replace(
@@ -151,8 +161,8 @@ def test_the_textured_body_looks_like_the_coloured_one(
 
 
 @pytest.mark.slow
-def test_print_folder(tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np.ndarray) -> None:
-    report = print_logo(body, logo, colors, tmp_path / "print", dpi=DPI)
+def test_print_folder(tmp_path: Path, body: Bodies, noise: FacePattern) -> None:
+    report = print_logo(body, noise, tmp_path / "print", dpi=DPI)
     files = {path.name for path in (tmp_path / "print").iterdir()}
     assert files == {"cloak.png", "body.glb", "body.obj", "body.mtl", "sheets.pdf", "print.json"}
     assert json.loads((tmp_path / "print" / "print.json").read_text()) | {"out": report["out"]} == report
@@ -160,7 +170,7 @@ def test_print_folder(tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np
     boxes = re.findall(rb"/MediaBox \[\s*0 0 ([\d.]+) ([\d.]+)\s*\]", data)
     assert len(boxes) == report["pages"]
     assert [float(extent) / 72 * 0.0254 for extent in boxes[0]] == pytest.approx(PAGES["A4"], abs=2e-4)
-    wanted = dressed(body, logo, colors)
+    wanted = dressed(body, noise)
     glb = import_bodies([tmp_path / "print" / "body.glb"])
     assert np.array_equal(glb.vertices[0][glb.triangles], body.vertices[0][body.triangles])
     close = np.abs(glb.face_colors[0] - wanted[body.triangle_face]).max(axis=1) < 1 / 255
@@ -201,7 +211,8 @@ def test_what_a_printer_can_mix() -> None:
 @pytest.mark.slow
 def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodies) -> None:
     ids = select_region(body, "chest")[:4]
-    report = print_logo(body, ids, np.tile(np.float32([0, 1, 0]), (4, 1)), tmp_path / "p", dpi=50, project=True)
+    green = faces_in(body, ids, np.tile([0, 1, 0], (4, 1)))
+    report = print_logo(body, green, tmp_path / "p", dpi=50, project=True)
     assert report["unprintable_colors"] == 4 and report["projected"]
     glb = import_bodies([tmp_path / "p" / "body.glb"])
     painted = glb.face_colors[0][np.isin(body.triangle_face, ids)]
@@ -215,18 +226,14 @@ def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodie
         ({"dpi": 5}, "dpi"),
     ],
 )
-def test_bad_options(
-    tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np.ndarray, options: dict, says: str
-) -> None:
+def test_bad_options(tmp_path: Path, body: Bodies, noise: FacePattern, options: dict, says: str) -> None:
     with pytest.raises(InputError, match=says):
-        print_logo(body, logo, colors, tmp_path / "p", **options)
+        print_logo(body, noise, tmp_path / "p", **options)
     assert not (tmp_path / "p").exists()
-    with pytest.raises(InputError, match="colours for 3"):
-        print_logo(body, logo, colors[:3], tmp_path / "p")
     (tmp_path / "q").mkdir()
     (tmp_path / "q" / "x").write_text("mine")
     with pytest.raises(InputError, match="exists"):
-        print_logo(body, logo, colors, tmp_path / "q")
+        print_logo(body, noise, tmp_path / "q")
 
 
 @pytest.mark.slow
@@ -234,7 +241,7 @@ def test_projecting_on_a_palette_leaves_only_its_colours(body: Bodies, tmp_path:
     palette = np.array([[0, 0, 0], [1, 0.5, 0]])
     ids = select_region(body, "chest")[:4]
     colors = np.float32([[0.9, 0.5, 0.1], [0, 0, 0], [0.1, 0, 0.2], [1, 0.5, 0]])
-    report = print_logo(body, ids, colors, tmp_path / "p", dpi=50, project=True, palette=palette)
+    report = print_logo(body, faces_in(body, ids, colors), tmp_path / "p", dpi=50, project=True, palette=palette)
     assert report["unprintable_colors"] == 2
     picture = np.asarray(Image.open(tmp_path / "p" / "cloak.png").convert("RGB")).reshape(-1, 3)
     assert {(0, 0, 0), (255, 128, 0)} <= set(map(tuple, picture.tolist()))
@@ -247,7 +254,7 @@ def test_with_a_profile_the_sheets_have_what_is_to_be_sent(body: Bodies, tmp_pat
     profile = Profile((0.2 + 0.6 * sent).astype(np.float32))
     ids = select_region(body, "chest")[:4]
     colors = np.float32([[0.5, 0.3, 0.2], [0.8, 0.8, 0.2], [0.0, 0.5, 1.0], [0.5, 0.3, 0.2]])
-    report = print_logo(body, ids, colors, tmp_path / "p", dpi=50, profile=profile)
+    report = print_logo(body, faces_in(body, ids, colors), tmp_path / "p", dpi=50, profile=profile)
     assert report["unprintable_colors"] == 1 and report["profile"]
     with Image.open(tmp_path / "p" / "cloak.png") as shown, Image.open(tmp_path / "p" / "to-print.png") as to_print:
         shown, to_print = (np.asarray(picture.convert("RGB")).reshape(-1, 3) / 255 for picture in (shown, to_print))
@@ -308,9 +315,8 @@ def test_a_print_is_told_in_sentences() -> None:
 def test_a_cloth_is_painted_as_fine_as_it_is_printed(body, logo, layout):
     """Every texel has the square that lies under the same point of the body, and no face's mean."""
     squares = np.random.default_rng(1).random((20 * 20, 3)).astype(np.float32)
-    cloth = PrintedCloth(Cloth(0.1, 20, 20), squares)
-    grey = dressed(body, logo, np.full((len(logo), 3), 0.5, np.float32))
-    image = bake(body, layout, grey, DPI, cloth).image
+    cloth = ClothPattern(Cover(logo, body.topology), Grid(0.1, 20, 20), squares)
+    image = bake(body, layout, cloth, DPI).image
     dots = DPI / 0.0254
     weights = np.random.default_rng(2).dirichlet([1, 1, 1], len(layout.triangles))[..., None]
     places = corner_places(body)[:, :, layout.triangles].transpose(2, 1, 0)
@@ -318,7 +324,7 @@ def test_a_cloth_is_painted_as_fine_as_it_is_printed(body, logo, layout):
     middle = np.floor((layout.corners * dots * weights).sum(1)).astype(int)
     shown = image[: int(np.ceil(layout.size[1] * dots))][::-1][middle[:, 1], middle[:, 0]]
     inner = (np.abs(on_cloth / 0.005 % 1 - 0.5) < 0.3).all(1)  # half a texel, 0.13 mm, from the next square
-    right = (np.abs(shown - 255 * squares[cloth.cloth.square_at(on_cloth)]) < 1).all(1)
+    right = (np.abs(shown - 255 * squares[cloth.grid.square_at(on_cloth)]) < 1).all(1)
     assert inner.sum() > 50 and right[inner].mean() > 0.95
     assert len(np.intersect1d(color_codes(image), color_codes(np.round(255 * squares)))) > 390
 
@@ -329,9 +335,10 @@ def color_codes(colors: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_sheets_of_a_cloth_count_its_colours(tmp_path, body, logo, colors):
-    cloth = PrintedCloth(Cloth(0.1, 2, 2), np.float32([[0, 1, 0], [1, 1, 1], [0, 1, 0], [1, 1, 1]]))
-    report = print_logo(body, logo, colors, tmp_path / "out", dpi=50, project=True, cloth=cloth)
+def test_sheets_of_a_cloth_count_its_colours(tmp_path, body, logo):
+    squares = np.float32([[0, 1, 0], [1, 1, 1], [0, 1, 0], [1, 1, 1]])
+    cloth = ClothPattern(Cover(logo, body.topology), Grid(0.1, 2, 2), squares)
+    report = print_logo(body, cloth, tmp_path / "out", dpi=50, project=True)
     assert (report["colors"], report["unprintable_colors"]) == (4, 2)
     image = np.asarray(Image.open(tmp_path / "out" / "cloak.png")).reshape(-1, 3)
     assert not (image == [0, 255, 0]).all(1).any(), "no four-colour printer mixes it"

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from cloak_core.core.geometry import face_areas
-from cloak_core.core.logo import select_region
+from cloak_core.core.logo import Cover, select_region
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.layout import lay_out, signed_areas
 from cloak_core.products.printing import print_logo
 from cloak_core.products.seams import SPACING, find_borders, seam_marks
@@ -103,14 +104,14 @@ def test_vertices_that_a_file_parts_at_seams_are_sewn_all_the_same():
 @pytest.mark.slow
 def test_an_allowance_surrounds_the_pieces_and_takes_room(tmp_path):
     body = sleeve()
-    ids, colors = np.arange(body.face_count), np.full((body.face_count, 3), 0.5, np.float32)
+    colors = np.full((body.face_count, 3), 0.5, np.float32)
+    grey = FacePattern(Cover(np.arange(body.face_count), body.topology), colors=colors)
     told = [
-        print_logo(body, ids, colors, tmp_path / str(cm), dpi=30, own_pattern=True, allowance=cm / 100)
-        for cm in (0.0, 5.0)
+        print_logo(body, grey, tmp_path / str(cm), dpi=30, own_pattern=True, allowance=cm / 100) for cm in (0.0, 5.0)
     ]
     assert told[0]["marks"] == told[1]["marks"] == round(HEIGHT / SPACING) and told[1]["pages"] > told[0]["pages"]
     with pytest.raises(InputError, match="an allowance of 6 cm"):
-        print_logo(body, ids, colors, tmp_path / "wide", allowance=0.06)
+        print_logo(body, grey, tmp_path / "wide", allowance=0.06)
     with pytest.raises(InputError, match="has no UV map"):
-        print_logo(replace(body, uv=None, triangle_uv=None), ids, colors, tmp_path / "none", own_pattern=True)
+        print_logo(replace(body, uv=None, triangle_uv=None), grey, tmp_path / "none", own_pattern=True)
     assert not (tmp_path / "wide").exists() and not (tmp_path / "none").exists()

@@ -7,16 +7,18 @@ import pytest
 from PIL import Image
 
 from cloak_core.commands.wear import expanded
-from cloak_core.core.cloth import cloth_coordinates
 from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.logo import Cover
+from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.cloth import ClothPattern
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.people import People, Person, load_people
 from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.figures import photograph_figures
-from cloak_core.studies.cloaked import cloth_colors
+from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.statistics_card import attack_record
-from cloak_core.studies.wearing.clothes import read_clothes
 from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
 from tests.sources.photographs.made_people import write_people
 from tests.studies.made_cards import TINY, Glow, make_store
@@ -26,9 +28,11 @@ def test_a_picture_repeats_as_cloth() -> None:
     picture = np.zeros((40, 80, 3), np.uint8)
     picture[:, 40:, 0] = 255  # the right half is red
     bodies, faces = sample_bodies("unseen"), np.arange(0, 2000, 7)
-    colors = cloth_colors(picture, 0.4, bodies, faces)
+    cloth = ClothPattern.of_picture(Cover(faces, bodies.topology), picture, 0.4, bodies=bodies)
+    under, mean = (cloth.on_faces(cloth.colors, is_exact) for is_exact in (True, False))
     right = cloth_coordinates(face_centres(bodies)[faces], face_normals(bodies)[faces])[:, 0] % 0.4
-    assert np.array_equal(colors[:, 0] > 0.5, right >= 0.2) and not colors[:, 1:].any()
+    assert np.array_equal(under[:, 0], right >= 0.2) and not mean[:, 1:].any()
+    assert 0.9 < ((mean[:, 0] > 0.5) == (right >= 0.2)).mean() and ((mean > 0.1) & (mean < 0.9)).any()
 
 
 @pytest.mark.slow
@@ -37,14 +41,15 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(tmp
     specs = tuple(f"{tmp_path}/white.png@{form}" for form in ("tile=0.5", "patch=0.3", "tile=0.2"))
     people = load_people(str(write_people(tmp_path / "people")))
     one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people, specs)
-    assert [cloth.name for cloth in one.left] == ["white@tile=0.2"], "the size has two"
-    assert one._pattern(specs[1], one.clothes[1]) is None, "a patch is worn in photographs alone"
-    assert one._pattern(specs[0], one.clothes[0]) == {"name": "white@tile=0.5"}
+    assert one.left == ["white@tile=0.2"], "the size has two"
+    cloth, patch = one.opened
+    assert one._pattern(*cloth) == {"name": "white@tile=0.5"}
+    assert one._pattern(*patch) is None, "a patch is worn in photographs alone"
     row = attack_record(one.rows["pattern white@tile=0.5"][0], "glow")
     assert row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
     faces = one._areas[-1]
     one.shown["area 76%"] = (
-        one.store.untrained(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")),
+        one.store.untrained(FacePattern(one._cover(faces), colors=np.zeros((len(faces), 3), np.float32))),
         (0.0,),
         {},
     )
@@ -98,7 +103,7 @@ def test_a_pattern_folder_says_how_each_picture_is_put_on(tmp_path: Path) -> Non
         pattern_specs(str(tmp_path)) == pattern_specs(f"{tmp_path}/patterns.toml") == expanded(str(tmp_path)) == specs
     )
     assert pattern_specs("white.png@tile=0.5") == ["white.png@tile=0.5"]
-    assert [read_clothes(spec).is_patch for spec in specs] == [False, True]
+    assert [open_pattern(spec)[0].period for spec in specs] == [0.25, None]
 
 
 @pytest.mark.parametrize(

@@ -10,43 +10,41 @@ from pycocotools.coco import COCO
 from torchvision.datasets import CocoDetection
 
 from cloak_core.cli import main
-from cloak_core.core.evaluation.renderer import render_images
 from cloak_core.core.evaluation.settings import EvaluateSettings
-from cloak_core.core.evaluation.trials import draw_trials
+from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import load_logo
-from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.colors import write_colors
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
 from cloak_core.studies.coco import export_coco, run_lengths
+from cloak_core.studies.imagery import drawn_images
 
 SIZE = 64
 
 
 @pytest.fixture(scope="module")
-def renderer() -> BodyRenderer:
-    bodies = sample_bodies("unseen").select_poses([0, 3])
-    backgrounds = load_backgrounds("procedural:test:3")
-    settings = EvaluateSettings(images_per_view=1, size=SIZE, shift=12, distances=(1.2, 2.2), samples=1)
-    trials = draw_trials(2, (-10.0, 90.0), 3, bodies.outfit_count, settings)
-    logo = load_logo(bodies, region="chest")
-    colors = np.tile(np.array([[1, 0, 0]], np.float32), (len(logo), 1))
-    cloaked = Cloaked(colors, logo, bodies, backgrounds)
-    return BodyRenderer(cloaked, trials, settings.camera, ViewCache(bodies, RenderSettings(samples=1)))
+def red() -> FacePattern:
+    logo = load_logo(sample_bodies("unseen"), region="chest")
+    return FacePattern(logo, colors=np.tile(np.array([[1, 0, 0]], np.float32), (len(logo), 1)))
 
 
 @pytest.fixture(scope="module")
-def made(renderer: BodyRenderer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shown(red: FacePattern) -> ImageSet:
+    bodies = sample_bodies("unseen").select_poses([0, 3])
+    settings = EvaluateSettings(images_per_view=1, size=SIZE, shift=12, distances=(1.2, 2.2), samples=1)
+    return drawn_images(bodies, load_backgrounds("procedural:test:3"), (-10.0, 90.0), settings, "cpu", [red])
+
+
+@pytest.fixture(scope="module")
+def made(shown: ImageSet, red: FacePattern, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("coco") / "set"
-    told = export_coco(renderer, out, "png")
-    assert told["images"] == 2 * len(renderer.trials) == 16 and told["cloaked"] == 8
+    told = export_coco(shown, red, out, "png")
+    assert told["images"] == 2 * len(shown.trials) == 16 and told["cloaked"] == 8
     return out
 
 
-def test_pycocotools_reads_boxes_masks_and_pairs(made: Path, renderer: BodyRenderer) -> None:
+def test_pycocotools_reads_boxes_masks_and_pairs(made: Path, shown: ImageSet, red: FacePattern) -> None:
     coco = COCO(made / "annotations.json")
     assert coco.loadCats(coco.getCatIds())[0]["name"] == "person"
     pairs: dict[int, list] = {}
@@ -57,13 +55,13 @@ def test_pycocotools_reads_boxes_masks_and_pairs(made: Path, renderer: BodyRende
         y, x = np.nonzero(mask)
         box = [x.min(), y.min(), x.max() - x.min() + 1, y.max() - y.min() + 1]
         assert found["bbox"] == box
-        true = renderer.boxes(renderer.views([image["pair"]]), [image["pair"]])[0].tolist()
+        true = shown.boxes(shown.views([image["pair"]], red), [image["pair"]])[0].tolist()
         assert [*box[:2], box[0] + box[2], box[1] + box[3]] == pytest.approx(true)
         pairs.setdefault(image["pair"], []).append((image, found))
     for trial, ((_, own), (_, worn)) in pairs.items():
         assert not own["attributes"]["cloaked"] and worn["attributes"]["cloaked"]
         assert own["bbox"] == worn["bbox"] and own["segmentation"] == worn["segmentation"]
-        assert own["attributes"]["body"] == renderer.body_names[renderer.trials.at[trial, "pose"]]
+        assert own["attributes"]["body"] == shown.body_names[shown.trials.at[trial, "pose"]]
 
 
 def test_the_visible_box_is_what_the_border_leaves_of_the_whole_one(made: Path) -> None:
@@ -77,15 +75,15 @@ def test_the_visible_box_is_what_the_border_leaves_of_the_whole_one(made: Path) 
             assert seen == pytest.approx(clipped, abs=1.5)  # a pixel counts where half of it is covered
 
 
-def test_torchvision_reads_what_was_rendered(made: Path, renderer: BodyRenderer) -> None:
+def test_torchvision_reads_what_was_rendered(made: Path, shown: ImageSet, red: FacePattern) -> None:
     data = CocoDetection(str(made / "images"), str(made / "annotations.json"))
     assert len(data) == 16
     assert data[0][1][0]["category_id"] == 1 and len(data[0][1]) == 1
     images = data.coco.loadImgs(data.ids)
     first = {image["cloaked"]: k for k, image in enumerate(images) if image["pair"] == 0}
     own, worn = (np.asarray(data[first[cloaked]][0], float) for cloaked in (False, True))
-    shown = render_images(renderer, [0], "logo")[0].permute(1, 2, 0) * 255
-    assert torch.equal(torch.from_numpy(worn), shown.round().double())
+    rendered = shown.render([0], red)[0].permute(1, 2, 0) * 255
+    assert torch.equal(torch.from_numpy(worn), rendered.round().double())
     inside = data.coco.annToMask(data[first[True]][1][0]).astype(bool)
     assert np.abs(own - worn)[inside].mean() > 1 > np.abs(own - worn)[~inside].mean()
 
@@ -100,14 +98,14 @@ def test_run_lengths_are_those_of_pycocotools(seed: int) -> None:
 
 
 def test_the_command_takes_a_run_and_overwrites_nothing(
-    renderer: BodyRenderer, tmp_path: Path, capsys: pytest.CaptureFixture
+    red: FacePattern, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     run = tmp_path / "run"
     run.mkdir()
     inputs = {"scene": "sample:train", "backgrounds": "procedural:train"}
     (run / "config.json").write_text(json.dumps({"inputs": inputs, "detectors": [{"spec": "builtin"}]}))
-    write_colors(run / "colors.npy", renderer.cloaked.colors)
-    np.save(run / "logo.npy", renderer.cloaked.logo.face_ids)
+    write_colors(run / "colors.npy", red.colors)
+    np.save(run / "logo.npy", red.cover.face_ids)
     asked = ["export", "coco", str(run), "--out", str(tmp_path / "out"), "--json", "--size", "48", "--angles", "0"]
     asked += ["--backgrounds", "procedural:test:2", "--scene", "sample:unseen[0:1]"]
     with pytest.raises(SystemExit, match="0"):

@@ -6,50 +6,54 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.evaluation.renderer import render_images
+from cloak_core.core.evaluate import Patterns
 from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import make_logo, select_region
 from cloak_core.files.errors import InputError
 from cloak_core.library import evaluate
+from cloak_core.patterns.controls import OwnClothing
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies import cycles
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
-from cloak_core.studies.cycles import CyclesRenderer, NoBlender, image_difference, render_frames, require_blender
-from cloak_core.studies.evaluate import make_renderer
+from cloak_core.studies.cycles import CyclesImages, NoBlender, image_difference, render_frames, require_blender
+from cloak_core.studies.imagery import drawn_images
 
 
 @pytest.fixture(scope="module")
-def renderer() -> BodyRenderer:
+def shown() -> tuple[ImageSet, Patterns]:
     bodies = sample_bodies("unseen").select_poses([0])
     logo = make_logo(bodies, select_region(bodies, "chest+thighs"))
     colors = np.random.default_rng(0).uniform(0.2, 0.8, (len(logo), 3)).astype(np.float32)
+    patterns = {"logo": FacePattern(logo, bodies, colors), "clothing": OwnClothing(logo)}
     settings = EvaluateSettings(images_per_view=2, size=96, shift=9)
-    made = make_renderer(Cloaked(colors, logo, bodies, load_backgrounds("procedural:test:2")), (20.0,), settings)
-    made.trials["outfit"] = 0
-    return made
+    images = drawn_images(bodies, load_backgrounds("procedural:test:2"), (20.0,), settings, "cpu", patterns.values())
+    images.trials["outfit"] = 0
+    return images, patterns
 
 
 @pytest.mark.long
 def test_matching_light_gives_our_images_and_natural_light_does_not(
-    renderer: BodyRenderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shown: tuple[ImageSet, Patterns], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    images, patterns = shown
     said = []
-    frames = render_frames(renderer, ("logo", "clothing"), tmp_path, 8, said.append)
+    frames = render_frames(images, patterns, tmp_path, 8, said.append)
     assert len(said) == 3 * 2
-    difference = {light: image_difference(renderer, CyclesRenderer(renderer, frames, light)) for light in cycles.LIGHTS}
+    theirs = {light: CyclesImages.of(images, patterns, frames, light) for light in cycles.LIGHTS}
+    difference = {light: image_difference(images, one, patterns["logo"]) for light, one in theirs.items()}
     # What is left is the highlight, and noise at the silhouette.
     assert difference["matching"]["rms"] < 0.04
     assert min(difference[light]["rms"] for light in ("studio", "sky")) > 2 * difference["matching"]["rms"]
     # Before backgrounds, moved: the body is where ours is.
-    matching = CyclesRenderer(renderer, frames, "matching")
-    ours, theirs = (render_images(s, [0, 1], "logo") for s in (renderer, matching))
-    assert (ours - theirs).abs().mean() < 0.005
-    assert renderer.shifts([0]).any()
+    ours, matching = (one.render([0, 1], patterns["logo"]) for one in (images, theirs["matching"]))
+    assert (ours - matching).abs().mean() < 0.005
+    assert images.shifts([0]).any()
+    assert len({one.identity for one in (images, *theirs.values())}) == 4
     # Nothing is rendered twice.
     monkeypatch.setattr(cycles, "_run", lambda *_: pytest.fail("rendered again"))
-    assert render_frames(renderer, ("logo", "clothing"), tmp_path, 8, said.append) == frames
+    assert render_frames(images, patterns, tmp_path, 8, said.append) == frames
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-4, 5), (20, 0)])

@@ -14,20 +14,20 @@ from torch import Tensor
 from cloak_core.commands.evaluate import show_success
 from cloak_core.core.detector.outcomes import on_body
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
-from cloak_core.core.evaluation.controls import random_colors
-from cloak_core.core.evaluation.renderer import EvaluationRenderer, render_images
 from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import Logo, make_logo, select_region
 from cloak_core.core.paint import compose
+from cloak_core.core.pattern import Pattern
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.cloth import ClothPattern
+from cloak_core.patterns.controls import OwnClothing
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
-from cloak_core.studies.evaluate import evaluate, make_renderer, read_evaluation
-from cloak_core.studies.printed_cloth import PrintedCloth
+from cloak_core.studies.evaluate import Shown, evaluate, read_evaluation, show_bodies
 
 SMALL = EvaluateSettings(images_per_view=2, size=64, shift=6, samples=1, resamples=100, batch=4, bare=5)
 ANGLES = (-10.0, 10.0)
@@ -66,19 +66,27 @@ def grey_rooms(count: int) -> Backgrounds:
     return Backgrounds([f"room {i}" for i in range(count)], draw)
 
 
-def green(logo: Logo) -> np.ndarray:
-    return np.tile(np.array([0, 1, 0], np.float32), (len(logo), 1))
+def in_green(logo: Logo) -> FacePattern:
+    return FacePattern(logo, colors=np.tile(np.array([0, 1, 0], np.float32), (len(logo), 1)))
 
 
-def in_green(logo: Logo, bodies: Bodies, rooms: int = 5) -> Cloaked:
-    return Cloaked(green(logo), logo, bodies, grey_rooms(rooms))
+def in_grey(logo: Logo) -> FacePattern:
+    return FacePattern(logo, colors=np.full((len(logo), 3), 0.5, np.float32))
+
+
+def show(pattern: Pattern, bodies: Bodies, rooms: int = 5, **more: object) -> Shown:
+    given = {"detectors": {"spec": GreenBlind()}, "angles": ANGLES, "settings": SMALL} | more
+    return show_bodies(pattern, bodies, grey_rooms(rooms), **given)
+
+
+def judged(pattern: Pattern, bodies: Bodies, detector: Detector | None = None, **more: object) -> dict:
+    detectors = {"spec": detector or GreenBlind()}
+    return evaluate(show(pattern, bodies), detectors, SMALL, **more)
 
 
 def test_contract_and_controls(bodies: Bodies, logo: Logo) -> None:
-    detector = GreenBlind()
     told = []
-    worn = in_green(logo, bodies)
-    result = evaluate(worn, {"spec": detector}, ANGLES, SMALL, on_progress=lambda *p: told.append(p))
+    result = judged(in_green(logo), bodies, on_progress=lambda *p: told.append(p))
     json.dumps(result, allow_nan=False)
     rates = result["detectors"]["spec"]
     assert set(rates) >= {"logo", "clothing", "grey", "random", "by_angle", "by_body"}
@@ -92,83 +100,79 @@ def test_contract_and_controls(bodies: Bodies, logo: Logo) -> None:
     assert result["unseen"] == {"bodies": None, "backgrounds": None}
 
 
-def test_a_cloth_is_worn_in_its_own_fineness(bodies: Bodies, logo: Logo) -> None:
-    """Squares finer than faces are seen one by one; everything else wears the faces, on the same images."""
-    checks = np.indices((4, 4)).sum(axis=0)[..., None] % 2 * np.full(3, 255)
-    cloth = PrintedCloth.of(checks.astype(np.uint8), 0.8)
-    grey = np.full((len(logo), 3), 0.5, np.float32)
-    fine = make_renderer(Cloaked(grey, logo, bodies, grey_rooms(2), cloth), ANGLES, SMALL)
-    coarse = make_renderer(Cloaked(grey, logo, bodies, grey_rooms(2)), ANGLES, SMALL)
-    every = list(range(len(fine.trials)))
-    shown, means = (render_images(renderer, every, "logo").clone() for renderer in (fine, coarse))
-    apart = (shown - means).abs().amax(1)
-    assert apart.max() > 0.3, "dark and light squares, where the faces' mean is grey"
-    off = torch.ones(64, 64, dtype=torch.bool)
-    view = fine.views([0])[0]
-    dx, dy = fine.shifts([0])[0].tolist()
+def on_screen(images: ImageSet, trial: int, pattern: Pattern) -> Tensor:
+    """Which pixels of a trial's image show what is worn [H, W]."""
+    (view,) = images.views([trial], pattern)
+    dx, dy = images.shifts([trial])[0].tolist()
+    shown = torch.zeros(64, 64, dtype=torch.bool)
     x, y = view.pixels[: view.map.height] % 64 + dx, view.pixels[: view.map.height] // 64 + dy
     inside = (x >= 0) & (x < 64) & (y >= 0) & (y < 64)
-    off[y[inside], x[inside]] = False
-    assert not apart[0][off].any(), "nothing but the cloth changes"
+    shown[y[inside], x[inside]] = True
+    return shown
+
+
+def test_a_cloth_is_worn_in_its_own_fineness(bodies: Bodies, logo: Logo) -> None:
+    """Squares finer than faces are seen one by one; everything else wears the faces, on the same images."""
+    checks = (np.indices((4, 4)).sum(axis=0)[..., None] % 2 * np.full(3, 255)).astype(np.uint8)
+    fine = show(ClothPattern.of_picture(logo, checks, 0.8), bodies, rooms=2)
+    coarse = show(in_grey(logo), bodies, rooms=2)
+    every = list(range(len(fine.images.trials)))
+    shown, means = (each.images.render(every, each.patterns["logo"]).clone() for each in (fine, coarse))
+    apart = (shown - means).abs().amax(1)
+    assert apart.max() > 0.3, "dark and light squares, where the faces' mean is grey"
+    assert not apart[0][~on_screen(fine.images, 0, fine.patterns["logo"])].any(), "nothing but the cloth changes"
     for control in ("clothing", "grey", "random"):
-        other = render_images(coarse, every, control).clone()
-        torch.testing.assert_close(render_images(fine, every, control), other, rtol=0, atol=1e-5)
+        other = coarse.images.render(every, coarse.patterns[control]).clone()
+        torch.testing.assert_close(fine.images.render(every, fine.patterns[control]), other, rtol=0, atol=1e-5)
 
 
 def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> None:
     """Between two patterns only the logo's pixels change; images repeat exactly; own clothing is the plain body."""
-    renderer = make_renderer(in_green(logo, bodies), ANGLES, SMALL)
-    assert isinstance(renderer, EvaluationRenderer)
-    every = list(range(len(renderer.trials)))
-    views = renderer.views(every)
-    controls = ("logo", "clothing", "grey", "random")
-    images = {c: shown.clone() for c, shown in zip(controls, renderer.compose(views, every, controls), strict=True)}
-    assert torch.equal(images["random"], render_images(renderer, every, "random"))
-    assert torch.equal(images["random"][3:5], render_images(renderer, every[3:5], "random"))
-    for i, view in enumerate(views):
-        dx, dy = renderer.shifts([i])[0].tolist()
-        touched = view.pixels[: view.map.height]
-        may_differ = torch.zeros(64, 64, dtype=torch.bool)
-        x, y = touched % 64 + dx, touched // 64 + dy
-        inside = (x >= 0) & (x < 64) & (y >= 0) & (y < 64)
-        may_differ[y[inside], x[inside]] = True
+    shown = show(in_green(logo), bodies)
+    images, patterns, every = shown.images, shown.patterns, list(range(len(shown.images.trials)))
+    assert list(patterns) == ["logo", "clothing", "grey", "random"]
+    made = {c: one.clone() for c, one in zip(patterns, images.compose(every, list(patterns.values())), strict=True)}
+    assert torch.equal(made["random"], images.render(every, patterns["random"]))
+    assert torch.equal(made["random"][3:5], images.render(every[3:5], patterns["random"]))
+    for i in every:
+        may_differ = on_screen(images, i, patterns["logo"])
         for control in ("clothing", "grey", "random"):
-            differs = (images[control][i] != images["logo"][i]).any(0)
+            differs = (made[control][i] != made["logo"][i]).any(0)
             assert differs.any() and not (differs & ~may_differ).any()
     # Dressing no logo at all shows the body as it is.
-    one = make_logo(bodies, logo.face_ids[:1])
-    plain = make_renderer(in_green(one, bodies), ANGLES, SMALL)
-    assert torch.allclose(render_images(plain, every, "clothing"), images["clothing"], atol=1e-5)
+    nothing = OwnClothing(make_logo(bodies, logo.face_ids[:1]))
+    assert torch.allclose(images.render(every, nothing), made["clothing"], atol=1e-5)
 
 
 def test_controls_are_painted_onto_one_canvas(bodies: Bodies, logo: Logo, monkeypatch: pytest.MonkeyPatch) -> None:
     """A batch's bodies and backgrounds are composed once for all controls; the pixels are those composed anew."""
-    renderer = make_renderer(in_green(logo, bodies), ANGLES, SMALL)
-    every, controls = list(range(len(renderer.trials))), ("logo", "clothing", "grey", "random")
-    views = renderer.views(every)
-    outfit, count = renderer.trials["outfit"].to_numpy(), len(logo)
-    for control, images in zip(controls, renderer.compose(views, every, controls), strict=True):
-        each = {
-            "logo": np.stack([green(logo)] * len(every)),
-            "clothing": bodies.face_colors[outfit][:, logo.face_ids],
-            "grey": np.full((len(every), count, 3), 0.5, np.float32),
-            "random": np.stack([random_colors(SMALL.seed, i, count) for i in every]),
-        }[control]
-        anew = compose(views, torch.from_numpy(each), renderer.backgrounds(every), renderer.shifts(every))
-        assert (images - anew).abs().max() <= 1e-6
-    drawn = []
+    shown = show(in_green(logo), bodies)
+    images, every, count = shown.images, list(range(len(shown.images.trials))), len(logo)
+    views = images.views(every, shown.patterns["logo"])
+    outfit = images.trials["outfit"].to_numpy()
+    each = {
+        "logo": np.stack([shown.patterns["logo"].colors] * len(every)),
+        "clothing": bodies.face_colors[outfit][:, logo.face_ids],
+        "grey": np.full((len(every), count, 3), 0.5, np.float32),
+        "random": np.stack([np.random.default_rng([SMALL.seed, i]).random((count, 3), np.float32) for i in every]),
+    }
+    for control, made in zip(each, images.compose(every, [shown.patterns[c] for c in each]), strict=True):
+        behind = images.bare(images.trials["background"].to_numpy())
+        anew = compose(views, torch.from_numpy(each[control]), behind, images.shifts(every))
+        assert (made - anew).abs().max() <= 1e-6
+    drawn, backdrop = [], ImageSet.backdrop
     monkeypatch.setattr(
-        BodyRenderer, "backgrounds", lambda self, indices: drawn.append(len(indices)) or self.bare(indices)
+        ImageSet, "backdrop", lambda self, views, numbers: drawn.append(len(views)) or backdrop(self, views, numbers)
     )
-    evaluate(in_green(logo, bodies, 8), {"spec": GreenBlind()}, ANGLES, SMALL)
-    assert drawn == [4, 4]  # of 8 images in batches of 4: once each, not once for each of 4 controls
+    judged(in_green(logo), bodies)
+    # Of 8 images in batches of 4: once each, not once for each of 4 controls; but for pictures of one image.
+    assert drawn[:2] == [4, 4] and drawn.count(4) == 2
 
 
 @pytest.mark.slow
 def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) -> None:
-    run = lambda **changes: evaluate(in_green(logo, bodies), {"spec": GreenBlind()}, ANGLES, replace(SMALL, **changes))[
-        "detectors"
-    ]
+    shown = show(in_green(logo), bodies)
+    run = lambda **changes: evaluate(shown, {"spec": GreenBlind()}, replace(SMALL, **changes))["detectors"]
     assert run() == run(batch=3)
 
 
@@ -187,9 +191,8 @@ def test_true_boxes_decide_success_iou() -> None:
 @pytest.mark.slow
 def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{}")
-    detector = GreenBlind()
     for _ in range(2):  # the second replaces the first
-        result = evaluate(in_green(logo, bodies), {"spec": detector}, ANGLES, SMALL, out=tmp_path / "evaluation")
+        result = judged(in_green(logo), bodies, out=tmp_path / "evaluation")
     stored = read_evaluation(tmp_path / "evaluation")
     assert stored.summary == json.loads(json.dumps(result))
     assert stored.results.controls == ("logo", "clothing", "grey", "random") and len(stored.results.trials) == 8
@@ -200,10 +203,7 @@ def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path
 
 @pytest.mark.slow
 def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
-    grey = np.full((len(logo), 3), 0.5, np.float32)
-    evaluate(
-        Cloaked(grey, logo, bodies, grey_rooms(5)), {"spec": GreenBlind()}, ANGLES, SMALL, out=tmp_path / "evaluation"
-    )
+    judged(in_grey(logo), bodies, out=tmp_path / "evaluation")
     stored = read_evaluation(tmp_path / "evaluation")
     failures = stored.pictures["failures"]["spec"]
     assert len(failures) == 6
@@ -213,27 +213,28 @@ def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Pat
 def test_overlap_with_training_is_said(bodies: Bodies, logo: Logo, caplog: pytest.LogCaptureFixture) -> None:
     config = {"scene": {"pose_sha256": list(bodies.pose_hashes[:1])}, "backgrounds": {"identities": ["other"]}}
     with caplog.at_level(logging.WARNING, "cloak"):
-        result = evaluate(in_green(logo, bodies), {"spec": GreenBlind()}, ANGLES, SMALL, training=config)
+        result = evaluate(show(in_green(logo), bodies, training=config), {"spec": GreenBlind()}, SMALL)
     assert result["unseen"] == {"bodies": False, "backgrounds": True}
     assert len(result["warnings"]) == 1 and bodies.names[0] in result["warnings"][0]
     assert bodies.names[0] in caplog.text
 
 
 def test_what_does_not_fit_is_refused(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
-    worn, detectors = in_green(logo, bodies), {"spec": GreenBlind()}
-    other = replace(logo, topology="f" * 64)
+    worn = in_green(logo)
     with pytest.raises(InputError) as error:
-        replace(worn, logo=other)
+        show(replace(worn, cover=replace(logo, topology="f" * 64)), bodies)
     assert "f" * 64 in str(error.value) and bodies.topology in str(error.value)
     with pytest.raises(InputError, match="colours for 3 faces"):
         replace(worn, colors=worn.colors[:3])
+    with pytest.raises(InputError, match="no background"):
+        show(worn, bodies, rooms=0)
     with pytest.raises(InputError, match="--angles"):
-        evaluate(worn, detectors, (), SMALL)
+        show(worn, bodies, angles=())
     with pytest.raises(InputError, match="--detector"):
-        evaluate(worn, {}, ANGLES, SMALL)
+        show(worn, bodies, detectors={})
     (tmp_path / "precious.txt").write_text("")
     with pytest.raises(InputError, match="left alone"):
-        evaluate(worn, detectors, ANGLES, SMALL, out=tmp_path)
+        judged(worn, bodies, out=tmp_path)
     assert (tmp_path / "precious.txt").exists()
 
 
@@ -258,7 +259,7 @@ def test_a_detector_that_changes_is_a_defect(bodies: Bodies, logo: Logo) -> None
             return super().forward(images)
 
     with pytest.raises(RuntimeError, match="changed while"):
-        evaluate(in_green(logo, bodies), {"spec": Drifting()}, ANGLES, SMALL)
+        judged(in_green(logo), bodies, Drifting())
 
 
 @pytest.mark.slow
@@ -269,7 +270,9 @@ def test_white_box_and_black_box(bodies: Bodies, logo: Logo, capsys: pytest.Capt
         stranger.weight.mul_(2)
     training = {"detectors": [{"spec": "as it was called then", "sha256": state_hash(known)}]}
     detectors = {"far[bold]": stranger, "near": known}
-    run = lambda training: evaluate(in_green(logo, bodies), detectors, ANGLES, SMALL, training=training)
+    run = lambda training: evaluate(
+        show(in_green(logo), bodies, detectors=detectors, training=training), detectors, SMALL
+    )
     result = run(training)
     assert result["white_box"] == {"far[bold]": False, "near": True}
     assert run(None)["white_box"] == {"far[bold]": None, "near": None}

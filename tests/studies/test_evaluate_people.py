@@ -19,14 +19,13 @@ from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.library import evaluate, train
 from cloak_core.products.run_report import make_report
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.cloaked import open_cloaked
 from cloak_core.studies.evaluate import read_evaluation
-from cloak_core.studies.printed_cloth import cloth_of_snapshot
+from cloak_core.studies.opening import open_run, snapshot_pattern
 from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
 from cloak_core.studies.trainings.run_record import _people
-from cloak_core.studies.wearing.dressed import open_dressed
 from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny
@@ -210,12 +209,10 @@ def test_snapshots_of_a_cloth_are_judged_as_fine_as_the_cloth(path: Path, tmp_pa
     rates, last = said["detectors"]["builtin"], said["over_time"][-1]["detectors"]["builtin"]
     assert last == {key: rates["logo"][key] for key in last}
     shown, config = run / "snapshots" / "step-00000002.png", json.loads((run / "config.json").read_text())
-    dressed = open_dressed(run, config, path)[0]
-    snapshot = dressed.in_colors(shown.with_suffix(".npy"), cloth_of_snapshot(run, shown))
-    assert shown.read_bytes() == (run / "cloth.png").read_bytes() and snapshot.identity == dressed.identity
-    bodies = open_cloaked(run, config, "sample:unseen[0:1]", "procedural:test:1")[0]
-    printed = bodies.in_colors(shown.with_suffix(".npy"), cloth_of_snapshot(run, shown)).cloth
-    assert np.array_equal(printed.colors, bodies.cloth.colors)
+    worn, on_bodies = (open_run(run, config, None, bodies)[0] for bodies in (None, sample_bodies("unseen")))
+    snapshot = snapshot_pattern(run, shown.with_suffix(".npy"), worn.cover)
+    assert shown.read_bytes() == (run / "cloth.png").read_bytes()
+    assert snapshot.identity == worn.identity == on_bodies.identity
     # An earlier version kept the faces' colours alone, which hide less than the cloth.
     shown.unlink()
     with pytest.raises(InputError, match=r"step-00000002\.png: no such file: .* earlier version"):
@@ -223,7 +220,7 @@ def test_snapshots_of_a_cloth_are_judged_as_fine_as_the_cloth(path: Path, tmp_pa
 
 
 REFUSED = {
-    "--controls: stripes": {"controls": ("stripes",)},
+    "--controls: 'stripes': there are clothing, grey, random, resampled": {"controls": ("stripes",)},
     "without --scene and --cycles": {"scene": "sample:unseen"},
     "without --profile and --cycles": {"over_time": True, "profile": "p.npz"},
     "say how wide it is worn": {"colors": "{picture}"},

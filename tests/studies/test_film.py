@@ -13,20 +13,18 @@ from torch import Tensor
 from cloak_core.cli import main
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import EvaluateSettings, FilmSettings
-from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.core.logo import Logo, load_logo
 from cloak_core.core.settings.values import Angles
-from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.controls import OwnClothing
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies import videos
 from cloak_core.sources.bodies.people.clothed import clothed_bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.videos import read_frames, save_film
-from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.body_renderer import BodyRenderer
-from cloak_core.studies.cloaked import Cloaked
-from cloak_core.studies.film import approaches, camera_path, film_renderer, make_film, usual_pace, write_turntable
+from cloak_core.studies.film import approaches, camera_path, film_images, make_film, usual_pace, write_turntable
+from cloak_core.studies.imagery import drawn_images
 from cloak_core.studies.statistics_film import longest_run, track
 
 SIZE = 48
@@ -86,10 +84,10 @@ def white() -> Backgrounds:
 
 def film(logo: Logo, white: Backgrounds, out: Path, detector: Detector | None = None, **settings: object) -> dict:
     bodies = sample_bodies("unseen").select_poses([0, 1])
-    green = np.tile(np.array([[0, 1, 0]], np.float32), (len(logo), 1))
+    green = FacePattern(logo, colors=np.tile(np.array([[0, 1, 0]], np.float32), (len(logo), 1)))
     asked = chosen(**{"size": SIZE, "samples": 1, "fps": 5.0, "seconds": 1.0} | settings)
     detector = detector or NoGreen()
-    return make_film(Cloaked(green, logo, bodies, white), {detector.spec: detector}, out, asked)
+    return make_film(green, bodies, white, {detector.spec: detector}, out, asked)
 
 
 def test_paths_end_where_they_should() -> None:
@@ -217,13 +215,12 @@ def test_frames_without_the_body_count_for_nothing(logo: Logo, white: Background
 def test_the_camera_stays_or_follows(logo: Logo, white: Backgrounds) -> None:
     bodies = sample_bodies("unseen").select_poses([0, 1])
     settings = chosen(fps=1, seconds=2, size=SIZE)
-    worn = Cloaked(np.zeros((len(logo), 3), np.float32), logo, bodies, white)
-    about = worn, camera_path(settings, 2)
-    stay, follow = (film_renderer(*about, chosen(fps=1, seconds=2, size=SIZE, follow=f)) for f in (False, True))
-    assert stay.camera(0) == stay.camera(1) and stay.camera(0).pivot is not None
-    assert follow.camera(0).pivot is None
+    about = bodies, white, camera_path(settings, 2)
+    shot = lambda **more: film_images(*about, chosen(fps=1, seconds=2, size=SIZE, **more), {"logo": OwnClothing(logo)})
+    assert shot(follow=False).source.viewpoint.pivot is not None
+    assert shot(follow=True).source.viewpoint.pivot is None, "each pose is looked at"
     with pytest.raises(InputError, match="--outfit: there is no outfit 99"):
-        film_renderer(*about, chosen(outfit=99))
+        shot(outfit=99)
 
 
 def test_a_video_holds_what_was_put_in(tmp_path: Path) -> None:
@@ -271,13 +268,12 @@ def test_bad_films_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.M
 def test_an_evaluation_leaves_a_turntable_unless_it_is_tiny(logo: Logo, white: Backgrounds, tmp_path: Path) -> None:
     bodies = sample_bodies("unseen").select_poses([0, 1])
     asked = EvaluateSettings(size=SIZE, shift=4, images_per_view=4, samples=1)
-    trials = draw_trials(2, tuple(float(a) for a in range(8)), 1, bodies.outfit_count, asked)
-    colors = np.zeros((len(logo), 3), np.float32)
-    view_cache = ViewCache(bodies, RenderSettings(samples=1))
-    renderer = BodyRenderer(Cloaked(colors, logo, bodies, white), trials, asked.camera, view_cache)
-    about = renderer, 3, {"nogreen": NoGreen()}, 0.6
-    assert not write_turntable(tmp_path / "none.gif", *about, controls=1) and not (tmp_path / "none.gif").exists()
-    assert write_turntable(tmp_path / "turntable.gif", *about, controls=2)
+    patterns = {"logo": FacePattern(logo, colors=np.zeros((len(logo), 3), np.float32)), "clothing": OwnClothing(logo)}
+    images = drawn_images(bodies, white, tuple(map(float, range(8))), asked, "cpu", patterns.values())
+    few = {"logo": patterns["logo"]}
+    about = 3, {"nogreen": NoGreen()}, 0.6
+    assert not write_turntable(tmp_path / "none.gif", images, few, *about) and not (tmp_path / "none.gif").exists()
+    assert write_turntable(tmp_path / "turntable.gif", images, patterns, *about)
     with Image.open(tmp_path / "turntable.gif") as gif:
         assert gif.n_frames == 8
 

@@ -6,8 +6,8 @@ import pytest
 
 from cloak_core.core.logo import load_logo
 from cloak_core.core.settings import make_settings
-from cloak_core.studies.first_view import compile_loops
 from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.studies.first_view import compile_loops
 from cloak_core.studies.trainings.training import train
 from tests.core.fakes import RedDetector, noise_backgrounds
 

@@ -6,10 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.core.logo import chest_thighs, make_logo
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.evaluate import identity
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.logo import Cover, chest_thighs, make_logo
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.run_config import check_same
 from cloak_core.core.settings import make_settings
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError, Stopped
+from cloak_core.patterns.cloth import ClothPattern, Grid
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.studies import store as store_module
 from cloak_core.studies import training_store
 from cloak_core.studies.data_split import DataSplit, open_data_split
@@ -54,7 +61,7 @@ def test_trainings_and_evaluations_are_made_once(
     for spec, changes in ((BLUE, {}), (RED, {"tv_weight": 1.0})):
         with pytest.raises(pytest.fail.Exception, match="made again"):
             again.train_faces(faces, [spec], **changes)
-    monkeypatch.setattr(store_module, "MEASUREMENT_VERSION", 0)
+    monkeypatch.setattr("cloak_core.core.evaluate.MEASUREMENT_VERSION", 0)
     assert again.train_repetitions(faces, [RED])  # which a change of measuring does not touch
     with pytest.raises(pytest.fail.Exception, match="made again"):
         again.measure_repetitions(found, (0.0, 5.0))
@@ -101,22 +108,53 @@ def test_a_training_is_its_key_where_a_run_folder_goes_on(split: DataSplit, tmp_
             check_same(training_config(base), training_config(other), tmp_path)
 
 
-def test_a_detector_run_by_another_source_is_measured_anew(split: DataSplit, tmp_path: Path) -> None:
-    before = RunStore(split, make_options(tmp_path))._detector_records[RED]
-    other = Glow("red", 0)
-    other.source = {"cfg": "edited"}
-    after = RunStore(replace(split, detectors={RED: other}), make_options(tmp_path))._detector_records[RED]
-    assert after["sha256"] == before["sha256"] and after != before
+def test_whatever_decides_an_evaluation_is_in_its_identity(split: DataSplit, tmp_path: Path) -> None:
+    store, detector = RunStore(split, make_options(tmp_path)), split.detectors[RED]
+    settings = store.evaluate_settings()
+    cover = Cover(chest_thighs(split.unseen), split.unseen.topology)
+    green = FacePattern(cover, colors=np.tile(np.float32([0, 1, 0]), (len(cover), 1)))
+    fewer = FacePattern(replace(cover, face_ids=cover.face_ids[1:]), colors=green.colors[1:])
+    cloth = ClothPattern.of_picture(cover, np.full((1, 1, 3), 255, np.uint8), 0.5)
+
+    def key(
+        worn: Pattern = green,
+        judge: Detector = detector,
+        angles: tuple[float, ...] = (0.0,),
+        bodies: Bodies = split.unseen,
+        how: EvaluateSettings = settings,
+        kept: RunStore = store,
+    ) -> str | None:
+        return identity(*kept.shown(worn, angles, how, bodies), {RED: judge}, how)
+
+    edited, unknown, brighter = Glow("red", 0), Glow("red", 0), Glow("red", 0)
+    edited.source, unknown.source = {"cfg": "edited"}, {}
+    brighter.gain.data.mul_(2)
+    sooner = Glow("red", 0)
+    sooner.operating_point = 0.2
+    keys = [
+        key(),
+        *(key(judge=one) for one in (edited, brighter, sooner)),
+        *map(key, (green.recolored(lambda colors: 1 - colors), fewer, cloth, replace(cloth, grid=Grid(0.4, 1, 1)))),
+        key(angles=(5.0,)),
+        key(bodies=split.unseen.select_poses([0])),
+        key(how=replace(settings, seed=1)),
+        key(how=replace(settings, controls=())),
+        key(how=replace(settings, threshold=0.3)),
+        key(kept=RunStore(replace(split, unseen_backgrounds=split.backgrounds), make_options(tmp_path))),
+    ]
+    assert None not in keys and len(set(keys)) == len(keys)
+    assert key() == keys[0] == key(judge=Glow("red", 0))
+    assert key(judge=unknown) is None, "its code may be anything: it is measured each time"
 
 
 @pytest.mark.slow
 def test_an_interrupted_set_goes_on(split: DataSplit, tmp_path: Path) -> None:
     faces = chest_thighs(split.bodies)
-    whole = RunStore(split, make_options(tmp_path, steps=(3,))).train_faces(faces, [RED]).colors
+    whole = RunStore(split, make_options(tmp_path, steps=(3,))).train_faces(faces, [RED]).pattern.colors
     other = RunStore(split, make_options(tmp_path / "other", steps=(3,)))
     with pytest.raises(Stopped, match="stopped at step 1"):
         other.train_faces(faces, [RED], max_seconds=1e-6)
-    assert np.array_equal(other.train_faces(faces, [RED]).colors, whole)
+    assert np.array_equal(other.train_faces(faces, [RED]).pattern.colors, whole)
 
 
 @pytest.mark.slow

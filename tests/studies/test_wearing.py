@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,16 +13,19 @@ from PIL import Image
 from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.measure import measure
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
 from cloak_core.core.evaluation.settings import WearSettings
+from cloak_core.core.linear import SparseMap
 from cloak_core.core.view import box_of
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
+from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.wearing.clothes import clothes_position, controls, read_clothes
-from cloak_core.studies.wearing.renderer import PeopleRenderer, dress, paint
+from cloak_core.sources.photographs.source import PeopleSource
+from cloak_core.sources.photographs.views import logo_positions
+from cloak_core.studies.imagery import people_images
+from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.studies.wearing.widths import WIDTHS
 from cloak_core.zoo.entry import entry
 from tests.core.fakes import RedDetector
@@ -80,13 +84,12 @@ def test_a_red_cloth_hides_and_controls_do_not(people, red, tmp_path):
     )
 
 
-def test_people_in_photographs_are_views_like_any_other(people):
-    backgrounds = load_backgrounds("procedural:test:2")
-    renderer = PeopleRenderer(fit_people(people), [], backgrounds, SMALL)
-    assert isinstance(renderer, EvaluationRenderer)
-    for view in renderer.views([0, 1]):
+def test_people_in_photographs_are_images_like_any_other(people):
+    images = people_images(fit_people(people), load_backgrounds("procedural:test:2"), SMALL)
+    patterns = controls(("clothing", "grey"), OwnClothing(clothes_cover()))
+    for view in images.views([0, 1], patterns["grey"]):
         assert np.allclose(box_of(view.mask), view.box, atol=2)
-    results = measure(renderer, {"body": BodyDetector()}, ("clothing", "grey"), (0, 1))
+    results = measure(images, patterns, {"body": BodyDetector()}, (0, 1))
     rows = results.rows("body", "grey")
     assert rows["body"].tolist() == [person.name for person in people.people] and rows["angle"].isna().all()
     assert rows["photograph"].tolist() == [person.photograph for person in people.people]
@@ -103,9 +106,17 @@ def test_nothing_is_left_of_what_fails(people, red, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def worn(spec, fit):
+    """Which colours each pixel of a photograph wears, and the colours that it shows."""
+    pattern = open_pattern(str(spec))[0]
+    places = PeopleSource([fit], 96).view({"person": 0}, None, pattern).places
+    shown: SparseMap = pattern.map(places)
+    return shown, shown.apply(torch.from_numpy(pattern.colors)).numpy()
+
+
 def test_a_patch_lies_on_the_chest_alone(people, red):
     fit = fit_people(people)[0]
-    patch, cloth = (read_clothes(f"{red}@{kind}").on(fit, 0)[0].row_sums().sum() for kind in ("patch=0.3", "tile=0.3"))
+    patch, cloth = (worn(f"{red}@{kind}", fit)[0].row_sums().sum() for kind in ("patch=0.3", "tile=0.3"))
     assert 0.3 * (0.3 * fit.scale) ** 2 < patch < 1.1 * (0.3 * fit.scale) ** 2 and patch < 0.4 * cloth
 
 
@@ -122,54 +133,52 @@ def test_a_cloth_repeats_every_so_many_metres(people, tmp_path):
     stripes[:32] = 255
     Image.fromarray(stripes).save(tmp_path / "stripes.png")
     fit = fit_people(people)[0]
-    shares, colors = read_clothes(f"{tmp_path / 'stripes.png'}@tile=0.4").on(fit, 0)
-    worn = shares.to_scipy().diagonal() > 0
-    bright = colors[:, 0] > 0.5
+    shown, colors = worn(f"{tmp_path / 'stripes.png'}@tile=0.4", fit)
     # On the body at rest a stripe is 0.2 m high, wherever it lies.
     height = np.floor(-fit.rest[:, 1] / 0.2).astype(int) % 2 == 0
-    assert (bright == height)[worn].mean() > 0.93
+    assert ((colors[:, 0] > 0.5) == height)[shown.row_sums().numpy() > 0.5].mean() > 0.93
 
 
 def test_own_clothes_come_back_from_the_faces_much_as_they_were(people):
-    fit = fit_people(people)[0]
-    photograph, grey, _, own = controls()
-    photo = torch.from_numpy(fit.person.image).permute(2, 0, 1) / 255
-    image, other, as_is = (paint(*dress(fit, worn, 0, SMALL)) for worn in (own, grey, photograph))
-    assert (image - as_is).abs().mean() < 0.2 * (other - as_is).abs().mean()
-    assert photo.min() >= 0
+    images = people_images(fit_people(people)[:1], load_backgrounds("procedural:test:1"), SMALL)
+    patterns = controls(("clothing", "grey", "resampled"), OwnClothing(clothes_cover())).values()
+    as_is, grey, own = (image.clone() for image in images.compose([0], list(patterns)))
+    assert (own - as_is).abs().mean() < 0.2 * (grey - as_is).abs().mean()
+    # A photograph shows own clothing without any face laid onto it.
+    one = replace(clothes_cover(), face_ids=clothes_cover().face_ids[:1])
+    assert torch.equal(images.render([0], OwnClothing(one)), as_is)
 
 
 def test_zoo_entries_of_every_known_topology_are_worn():
     for name in ("transfer-anny", "builtin-sample", "builtin-clothed"):
-        clothes = read_clothes(f"zoo:{name}")
-        assert (clothes.position >= 0).sum() > 1000 and clothes.position.max() < len(clothes.colors)
-    assert (clothes_position() >= 0).sum() > 5000
+        pattern = open_pattern(f"zoo:{name}")[0]
+        position = logo_positions(pattern.cover.topology, pattern.cover.face_ids)
+        assert (position >= 0).sum() > 1000 and position.max() < len(pattern.colors)
 
 
 def test_a_run_of_cloth_is_worn_as_the_cloth_where_its_logo_is(people, tmp_path):
     run = entry("transfer-people").write_run(tmp_path / "run")
-    worn = read_clothes(str(run))
-    assert worn.metres == 0.25 and not worn.is_patch
-    picture = read_clothes(f"{run / 'cloth.png'}@tile=0.25")
+    assert open_pattern(str(run))[0].period == 0.25
     fit = fit_people(people)[0]
-    (shares, colors), (same, other) = worn.on(fit, 0), picture.on(fit, 0)
-    assert np.array_equal(colors, other) and (shares.to_scipy() - same.to_scipy()).nnz == 0 and len(shares) > 100
+    (shown, colors), (same, other) = worn(run, fit), worn(f"{run / 'cloth.png'}@tile=0.25", fit)
+    assert np.array_equal(colors, other) and (shown.to_scipy() - same.to_scipy()).nnz == 0 and len(shown) > 100
     config = json.loads((run / "config.json").read_text())
     del config["settings"]["tile_cm"]
     (run / "config.json").write_text(json.dumps(config))
     with pytest.raises(InputError, match="does not say how wide"):
-        read_clothes(str(run))
+        open_pattern(str(run))
 
 
 def test_prints_are_worn_and_anything_of_cloth_upside_down(people, tmp_path):
-    upright, flipped = read_clothes("print:ellipses@tile=0.3"), read_clothes("print:ellipses@tile=0.3@flipped")
-    assert (upright.name, flipped.name) == ("print:ellipses@tile=0.3", "print:ellipses@tile=0.3@flipped")
-    assert np.array_equal(upright.picture[::-1], flipped.picture) and upright.metres == flipped.metres == 0.3
+    named = ("print:ellipses@tile=0.3", "print:ellipses@tile=0.3@flipped")
+    named += ("zoo:transfer-people@flipped", "zoo:transfer-people@tile=0.5")
+    opened = [open_pattern(spec) for spec in named]
+    assert [name for *_, name in opened] == list(named)
+    assert [pattern.period for pattern, *_ in opened] == [0.3, 0.3, 0.25, 0.5]
+    upright, flipped, whole, wider = (pattern.picture(pattern.colors) for pattern, *_ in opened)
+    assert np.array_equal(upright[::-1], flipped) and np.array_equal(whole[::-1], wider)
     fit = fit_people(people)[0]
-    assert upright.on(fit, 0)[1].shape == flipped.on(fit, 0)[1].shape
-    whole, wider = read_clothes("zoo:transfer-people@flipped"), read_clothes("zoo:transfer-people@tile=0.5")
-    assert whole.name == "zoo:transfer-people@flipped" and whole.metres == 0.25
-    assert np.array_equal(whole.picture[::-1], wider.picture) and wider.metres == 0.5
+    assert not np.array_equal(worn(named[0], fit)[1], worn(named[1], fit)[1])
 
 
 def test_a_width_is_chosen_on_those_who_do_not_judge(people, tmp_path):
@@ -180,8 +189,8 @@ def test_a_width_is_chosen_on_those_who_do_not_judge(people, tmp_path):
     spec, other = f"{tmp_path / 'bars.png'}@tile=auto", BodyDetector()
     other.spec = "other"
     judges, chosen_on = people.halves()
-    worn = partial(wear, [spec, "print:dots@tile=0.2"], judges, {"body": BodyDetector()}, settings=SMALL)
-    result = worn(width_people=chosen_on, width_detectors={"other": other}, out=tmp_path / "out")
+    judged = partial(wear, [spec, "print:dots@tile=0.2"], judges, {"body": BodyDetector()}, settings=SMALL)
+    result = judged(width_people=chosen_on, width_detectors={"other": other}, out=tmp_path / "out")
     curve = result["widths"][spec]
     rates = {metres: s["success"] + s["success_own"] for metres, s in curve["detectors"]["other"].items()}
     assert list(map(float, rates)) == list(WIDTHS) and len(set(rates.values())) > 1
@@ -197,7 +206,7 @@ def test_a_width_is_chosen_on_those_who_do_not_judge(people, tmp_path):
         ("--width-detector: again judges as well", chosen_on, {"other": other, "again": BodyDetector()}),
     ):
         with pytest.raises(InputError, match=words):
-            worn(width_people=asked, width_detectors=detectors)
+            judged(width_people=asked, width_detectors=detectors)
 
 
 BAD = {
@@ -219,4 +228,4 @@ BAD = {
 @pytest.mark.parametrize("words", BAD)
 def test_colours_that_cannot_be_worn_are_named(red, words):
     with pytest.raises(InputError, match=words):
-        read_clothes(BAD[words].format(red=red))
+        open_pattern(BAD[words].format(red=red))

@@ -12,10 +12,8 @@ from cloak_core.core.filters import blurred, through_jpeg, windowed
 from cloak_core.core.geometry import face_centres
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.technique import Distortions
-from cloak_core.core.visibility.settings import RenderSettings
-from cloak_core.core.worn import Worn
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.source import BodySource
-from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.techniques.window import Windows, draw_window
 from tests.core.fakes import box_bodies, front_logo, noise_backgrounds, techniques_of, tiny_settings
 
@@ -97,11 +95,9 @@ def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
     """A batch's images of a grey logo, and their gradient's length on each face."""
     bodies, settings = box_bodies(), tiny_settings(noise=0.0, contrast="1", brightness="0", **changes)
     logo, backgrounds = front_logo(bodies), noise_backgrounds()
-    worn = Worn(bodies, logo)
-    source = BodySource(bodies, worn, settings.views, view_cache=ViewCache(bodies, RenderSettings(samples=4)))
-    sampler = Sampler(settings, source, len(backgrounds))
+    sampler = Sampler(settings, BodySource.trained(bodies, settings.views), len(backgrounds))
     techniques = techniques_of(settings, bodies=bodies)
-    batcher = Batcher(settings, sampler, backgrounds, worn, torch.device("cpu"), techniques)
+    batcher = Batcher(settings, sampler, backgrounds, FacePattern(logo), torch.device("cpu"), techniques)
     colors = torch.full((len(logo), 3), 0.9, requires_grad=True)
     images = batcher.batch(0).images(colors)
     images.sum().backward()
@@ -120,15 +116,13 @@ def test_what_is_switched_on_changes_images_and_is_drawn_by_seed_and_step(change
 
 def test_cut_out_faces_are_grey_and_stand_together():
     bodies, settings = box_bodies(), tiny_settings(cutout=1.0, batch=8, noise=0.0)
-    worn = Worn(bodies, front_logo(bodies))
-    faces = worn.logo.face_ids
-    source = BodySource(bodies, worn, settings.views, view_cache=ViewCache(bodies, RenderSettings(samples=1)))
+    pattern = FacePattern(front_logo(bodies))
     techniques = techniques_of(settings, bodies=bodies)
-    sampler = Sampler(settings, source, 5)
-    batcher = Batcher(settings, sampler, noise_backgrounds(), worn, torch.device("cpu"), techniques)
+    sampler = Sampler(settings, BodySource.trained(bodies, settings.views), 5)
+    batcher = Batcher(settings, sampler, noise_backgrounds(), pattern, torch.device("cpu"), techniques)
     hidden = batcher.batch(0).hidden.numpy()
     assert len({row.sum() for row in hidden}) > 3
-    centres = face_centres(bodies)[faces]
+    centres = face_centres(bodies)[pattern.cover.face_ids]
     for row in hidden[hidden.any(1) & ~hidden.all(1)]:
         apart = np.linalg.norm(centres[row][:, None] - centres[~row][None], axis=2)
         within = np.linalg.norm(centres[row][:, None] - centres[row][None], axis=2)

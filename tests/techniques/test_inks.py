@@ -11,10 +11,10 @@ from cloak_core.core.logo import make_logo
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.settings import PRESETS, make_settings
 from cloak_core.core.technique import Techniques
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.groups import GroupPattern
 from cloak_core.techniques.inks import FREE_UNTIL, HARD_FROM, Inks, assigned, far_apart
 from cloak_core.techniques.momentum_iterative import MomentumIterative
 from cloak_core.techniques.profile import Photographed
@@ -120,7 +120,7 @@ def test_patches_share_a_colour_and_begin_as_their_mean():
     first = torch.rand(6, 3, generator=torch.Generator().manual_seed(0))
     bodies = box_bodies()
     logo = make_logo(bodies, np.arange(6))
-    pattern = Coloring(worn=Worn(bodies, logo, patch=np.array([0, 0, 1, 2, 2, 2])))
+    pattern = Coloring(pattern=GroupPattern(logo, bodies, group=np.array([0, 0, 1, 2, 2, 2])))
     values = pattern.begin(first)
     torch.testing.assert_close(values[2], first[3:].mean(0))
     assert torch.equal(pattern(values), values[[0, 0, 1, 2, 2, 2]])

@@ -6,9 +6,9 @@ import torch
 from PIL import Image
 
 from cloak_core.core.settings import make_settings
-from cloak_core.core.worn import Worn
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.bodies.logos.color_difference import de2000, lab
 from cloak_core.sources.bodies.logos.garment_colors import camouflage, garment_colors
 from cloak_core.techniques.near import Near
@@ -86,10 +86,10 @@ def test_beside_a_pattern_a_print_is_taken_in_its_mean(tmp_path, pattern):
     bodies = box_bodies()
     logo = front_logo(bodies)
     settings = make_settings(near="camouflage", within=6, **pattern)
-    worn, (near,) = Worn.of(settings.pattern, bodies, logo), techniques_of(settings, bodies=bodies)
-    garment, cloth = near.garment, worn.cloth
-    patch = worn.patch if cloth is None else cloth.square
-    garment = garment if cloth is None else garment[patch]
+    chosen, (near,) = pattern_of(settings.pattern, bodies, logo), techniques_of(settings, bodies=bodies)
+    garment = chosen.on_faces(near.garment, is_exact=True)
+    numbers = chosen.spread(torch.arange(chosen.value_count).float()[:, None].expand(-1, 3))
+    patch = chosen.on_faces(numbers.numpy(), is_exact=True)[:, 0]
     printed = garment_colors("camouflage", bodies, logo)
     for number in np.unique(patch):
         assert np.allclose(garment[patch == number], printed[patch == number].mean(0), atol=1e-6)

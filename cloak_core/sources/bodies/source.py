@@ -103,7 +103,6 @@ class BodySource:
             self.directions = plan.directions
             self.members = plan.members
             self.is_fresh = plan.is_fresh
-            self.draw = plan.draw
 
     @classmethod
     def trained(cls, bodies: Bodies, settings: ViewSettings, device: torch.device | str = "cpu") -> BodySource:
@@ -113,11 +112,19 @@ class BodySource:
         render = RenderSettings.of(settings, device=device, **(fresh if plan.is_fresh else {}))
         return cls(bodies, render, settings.camera(0.0, 0.0, 1.0), plan)
 
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """See `Source`: as the plan of a training does."""
+        return self.plan.draw(dealt, random)
+
     def planned(self, plan: BodyPlan, viewpoint: Camera) -> BodySource:
         """Show the same bodies as another plan says, from views that are kept together."""
         source = BodySource(self.bodies, self.settings, viewpoint, plan)
         source._caches = self._caches
         return source
+
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """See `Source`: as the plan says."""
+        return self.plan.draw(dealt, random)
 
     @property
     def works_on(self) -> torch.device:

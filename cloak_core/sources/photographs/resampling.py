@@ -89,7 +89,7 @@ def resample(picture: Float32[Tensor, "H W 3"], down: Kernel, across: Kernel) ->
         _resample(flat, down.first, down.weight, across.first, across.weight, result)
         return torch.from_numpy(result)
     down, across = (kernel.dense.to(picture.device) for kernel in (down, across))
-    return torch.einsum("yh,hwc,xw->yxc", down, picture, across)
+    return torch.einsum("yh,hwc,xw->yxc", down, picture, across).contiguous()
 
 
 def spread_back(upstream: Float32[Tensor, "h w 3"], down: Kernel, across: Kernel) -> Float32[Tensor, "H W 3"]:
@@ -101,7 +101,7 @@ def spread_back(upstream: Float32[Tensor, "h w 3"], down: Kernel, across: Kernel
         _spread(upstream.contiguous().numpy(), down.first, down.weight, across.first, across.weight, result)
         return torch.from_numpy(result).view(down.count, across.count, 3)
     down, across = (kernel.dense.to(upstream.device) for kernel in (down, across))
-    return torch.einsum("yh,yxc,xw->hwc", down, upstream, across)
+    return torch.einsum("yh,yxc,xw->hwc", down, upstream, across).contiguous()
 
 
 def photograph(

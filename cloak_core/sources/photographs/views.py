@@ -154,7 +154,7 @@ def photograph_view(
     down = Kernel.of(framing.y, framing.side, framing.size, height, framing.softness)
     across = Kernel.of(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
     y, x = np.divmod(fit.pixels, width)
-    tall, wide = (y.min(), y.max() + 1), (x.min(), x.max() + 1)
+    tall, wide = ((int(at.min()), int(at.max()) + 1) for at in (y, x))
     rows, columns = down.reached(*tall), across.reached(*wide)
     size = framing.size
     number = np.arange(size * size).reshape(size, size)
@@ -175,7 +175,7 @@ def photograph_view(
         width=size,
         pixels=torch.from_numpy(np.concatenate([number[worn], number[~worn]])),
         coverage=torch.ones(size * size),
-        base_color=torch.zeros(3, 0),
+        base_color=torch.zeros((), device=device).expand(3, size * size),
         front_count=resampling.height,
         map=resampling,
         places=places_of(fit, position, count, jitter),

@@ -12,15 +12,15 @@ from bodies_made import sphere
 
 import cloak_core
 from cloak_core.bench.oracle import screen_of
-from cloak_core.core.baking import on_cloth
 from cloak_core.core.cameras import Camera
-from cloak_core.core.cloth import Cloth
+from cloak_core.core.logo import Cover
 from cloak_core.core.visibility import backend
 from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.core.visibility.rasterizer import rasterize
 from cloak_core.core.visibility.screen import GRID, GUARD
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.sources.bodies.view_cache import ViewCache
 
 CAMERA = Camera(distance=2.6, azimuth=20.0, width=45, height=37)
@@ -99,20 +99,22 @@ def test_views(samples: int | None, body: Bodies, camera: Camera) -> None:
 @pytest.mark.parametrize("samples", [4, None])
 def test_places_on_a_cloth(samples: int | None) -> None:
     """Loops and torch agree on where entries lie on a cloth, how far they reach, and which squares they show."""
-    cloth = Cloth.of(0.25, 0.02)
+    body = two_bodies()
+    cloth = ClothPattern(Cover(np.arange(body.face_count), body.topology), Grid.of(0.25, 0.02))
     seen = []
     for context in (contextlib.nullcontext(), torch_alone()):
         with context:
-            cache = ViewCache(two_bodies(), RenderSettings(light=SHINY, samples=samples), on_cloth=True)
-            view = cache.bake(0, CAMERA, np.arange(cache.bodies.face_count))
-            seen.append((view, on_cloth(view, cloth, (0.013, 0.1))))
+            cache = ViewCache(body, RenderSettings(light=SHINY, samples=samples), on_cloth=True)
+            view = cache.bake(0, CAMERA, cloth.cover.face_ids)
+            seen.append((view, view.map @ cloth.map(view.places, (0.013, 0.1))))
     (ours, ours_worn), (theirs, theirs_worn) = seen
-    assert len(ours.map) == ours.cloth.shape[1] == theirs.cloth.shape[1] > 100
-    torch.testing.assert_close(ours.cloth, theirs.cloth, rtol=0, atol=5e-6)
-    assert (ours.cloth[2:] >= 0).all() and float(ours.cloth[2:].max()) > 0.001
-    colors = torch.rand(len(cloth), 3)
-    torch.testing.assert_close(ours_worn.map(colors), theirs_worn.map(colors), rtol=0, atol=1e-4)
-    torch.testing.assert_close(ours_worn.map.row_sums(), ours.map.row_sums(), rtol=0, atol=1e-5)
+    assert len(ours.map) == len(ours.places) == len(theirs.places) > 100
+    for name in ("face", "at", "extent"):
+        torch.testing.assert_close(getattr(ours.places, name), getattr(theirs.places, name), rtol=0, atol=5e-6)
+    assert (ours.places.extent >= 0).all() and float(ours.places.extent.max()) > 0.001
+    colors = torch.rand(cloth.count, 3)
+    torch.testing.assert_close(ours_worn.apply(colors), theirs_worn.apply(colors), rtol=0, atol=1e-4)
+    torch.testing.assert_close(ours_worn.row_sums(), ours.map.row_sums(), rtol=0, atol=1e-5)
 
 
 def test_batches_equal_single_views() -> None:
@@ -146,11 +148,11 @@ def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
 
 
 def test_a_device_chooses_in_one_place() -> None:
-    """Beside the backend only total variation and views of photographs ask."""
+    """Beside the backend only total variation, maps, the sampler of a cloth and photographs' kernels ask."""
     room = Path(cloak_core.__file__).parent
     asking = {path for path in room.rglob("*.py") if "use_loops(" in path.read_text(encoding="utf-8")}
     rendering = {f"core/visibility/{name}.py" for name in ("compiled", "backend")}
-    others = {"core/losses.py", "sources/photographs/views.py"}
+    others = {"core/losses.py", "core/linear.py", "patterns/footprint.py", "sources/photographs/resampling.py"}
     assert {path.relative_to(room).as_posix() for path in asking} == rendering | others
 
 

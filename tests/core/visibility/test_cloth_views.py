@@ -3,13 +3,16 @@
 import numpy as np
 import torch
 
-from cloak_core.core.baking import on_cloth
 from cloak_core.core.cameras import Camera
-from cloak_core.core.cloth import MOST_SQUARES, Cloth
-from cloak_core.core.linear import SparseMap
-from cloak_core.core.paint import compose
+from cloak_core.core.images import dressed
+from cloak_core.core.linear import Chain, SparseMap
+from cloak_core.core.logo import Cover
+from cloak_core.core.paint import blank
+from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.patterns.cloth import ClothPattern, Grid
+from cloak_core.patterns.footprint import MOST_SQUARES
 from cloak_core.sources.bodies.view_cache import ViewCache
 
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
@@ -30,18 +33,26 @@ def camera(pixels_across: int, size: int = 80) -> Camera:
     return Camera(distance=float(distance), elevation=0.0, width=size, height=size)
 
 
-def shown(cloth: Cloth, colors: torch.Tensor, pixels_across: int) -> np.ndarray:
+def worn(squares: int) -> ClothPattern:
+    """A cloth as large as the panel, of squares x squares."""
+    return ClothPattern(Cover(np.arange(2), panel().topology), Grid.of(SIDE, SIDE / squares))
+
+
+def view_of(pixels_across: int) -> BakedView:
+    return ViewCache(panel(), RenderSettings(light=FLAT), on_cloth=True).bake(0, camera(pixels_across), [0, 1])
+
+
+def shown(cloth: ClothPattern, colors: torch.Tensor, pixels_across: int) -> np.ndarray:
     """The panel as the image shows it, pixels [n, n, 3]."""
-    cache = ViewCache(panel(), RenderSettings(light=FLAT), on_cloth=True)
-    view = on_cloth(cache.bake(0, camera(pixels_across), [0, 1]), cloth)
-    image = compose([view], colors, torch.zeros(1, 3, 80, 80))[0].permute(1, 2, 0).numpy()
+    canvas = dressed([view_of(pixels_across)], cloth, blank(1, 80, 80).fill_(0))
+    image = canvas.paint(colors)[0].permute(1, 2, 0).numpy()
     start = (80 - pixels_across) // 2
     return image[start : start + pixels_across, start : start + pixels_across]
 
 
 def test_squares_as_large_as_pixels_are_seen_one_by_one() -> None:
-    cloth = Cloth.of(SIDE, SIDE / 40)
-    colors = torch.rand(len(cloth), 3, generator=torch.Generator().manual_seed(0))
+    cloth = worn(40)
+    colors = torch.rand(cloth.count, 3, generator=torch.Generator().manual_seed(0))
     seen = shown(cloth, colors, 40)
     # The cloth begins in the middle of the body.
     printed = np.roll(colors.view(40, 40, 3).numpy(), (20, 20), axis=(0, 1))
@@ -51,8 +62,8 @@ def test_squares_as_large_as_pixels_are_seen_one_by_one() -> None:
 
 
 def test_a_pixel_that_covers_many_squares_sees_their_mean() -> None:
-    cloth = Cloth.of(SIDE, SIDE / 40)
-    colors = torch.rand(len(cloth), 3, generator=torch.Generator().manual_seed(1))
+    cloth = worn(40)
+    colors = torch.rand(cloth.count, 3, generator=torch.Generator().manual_seed(1))
     seen = shown(cloth, colors, 10)
     printed = np.roll(colors.view(40, 40, 3).numpy(), (20, 20), axis=(0, 1))
     means = printed.reshape(10, 4, 10, 4, 3).mean(axis=(1, 3))
@@ -61,19 +72,16 @@ def test_a_pixel_that_covers_many_squares_sees_their_mean() -> None:
 
 
 def test_a_cloth_far_away_costs_bounded_entries() -> None:
-    cache = ViewCache(panel(), RenderSettings(light=FLAT), on_cloth=True)
-    baked = cache.bake(0, camera(4), [0, 1])
-    view = on_cloth(baked, Cloth.of(SIDE, SIDE / 400))
-    assert len(view.map) <= MOST_SQUARES**2 * len(baked.map)
-    torch.testing.assert_close(view.map.row_sums(), baked.map.row_sums())
+    view = view_of(4)
+    whole = view.map @ worn(400).map(view.places)
+    assert len(whole) <= MOST_SQUARES**2 * len(view.map)
+    torch.testing.assert_close(whole.row_sums(), view.map.row_sums())
 
 
 def test_the_gradient_reaches_every_square_that_is_seen() -> None:
-    cloth = Cloth.of(SIDE, SIDE / 40)
-    cache = ViewCache(panel(), RenderSettings(light=FLAT), on_cloth=True)
-    view = on_cloth(cache.bake(0, camera(40), [0, 1]), cloth)
-    colors = torch.full((len(cloth), 3), 0.5, requires_grad=True)
-    compose([view], colors, torch.zeros(1, 3, 80, 80)).sum().backward()
+    view, cloth = view_of(40), worn(40)
+    colors = torch.full((cloth.count, 3), 0.5, requires_grad=True)
+    dressed([view], cloth, blank(1, 80, 80).fill_(0)).paint(colors).sum().backward()
     np.testing.assert_allclose(colors.grad.sum(), 3 * view.coverage.sum(), rtol=1e-4)
     assert (colors.grad > 0).all()
 
@@ -89,9 +97,12 @@ def test_maps_compose_transpose_and_differentiate_as_dense_matrices_do() -> None
     dense = one.matrix.to_dense() @ other.matrix.to_dense()
     torch.testing.assert_close((one @ other).matrix.to_dense(), dense)
     torch.testing.assert_close(one.transposed.matrix.to_dense(), one.matrix.to_dense().T)
-    torch.testing.assert_close(
-        one.scaled(torch.arange(7.0)).matrix.to_dense(), torch.arange(7.0)[:, None] * one.matrix.to_dense()
-    )
+    assert one @ SparseMap.identity(5) is one
+    for both in (one @ other, Chain(one, other), Chain(one, SparseMap.identity(5)) @ other):
+        values, upstream = torch.rand(4, 3), torch.rand(7, 3)
+        torch.testing.assert_close(both.apply(values), dense @ values)
+        torch.testing.assert_close(both.adjoint(upstream), dense.T @ upstream)
+        assert (both.height, both.width) == (7, 4)
     torch.testing.assert_close(one.row_sums(), one.matrix.to_dense().sum(1))
     stacked = torch.cat([one.matrix.to_dense(), one.matrix.to_dense()])
     torch.testing.assert_close(SparseMap.stacked([one, one]).matrix.to_dense(), stacked)

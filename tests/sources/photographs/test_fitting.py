@@ -6,23 +6,19 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.paint import compose
+from cloak_core.core.images import dressed
+from cloak_core.core.logo import Cover
+from cloak_core.core.paint import blank
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.processes import Processes
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.compact import pack_fit, unpack_fit
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.fitting import Fitter
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.rig import ANNY, body_rig, faces_on_rig
-from cloak_core.sources.photographs.views import (
-    Framing,
-    Looseness,
-    framing_of,
-    logo_positions,
-    photograph_view,
-    shares_of,
-)
+from cloak_core.sources.photographs.views import EXACT, FitJitter, Framing, framing_of, logo_positions, photograph_view
 from tests.sources.photographs.made_people import annotation, photograph, standing, write_people
 
 pytestmark = pytest.mark.slow
@@ -74,9 +70,9 @@ def test_a_stored_fit_is_small_and_its_views_are_the_same(fitted):
     packed = pack_fit(fitted)
     assert len(packed) < 400_000
     stored = unpack_fit(packed, fitted.person)
-    for looseness in (None, Looseness(move=(0.02, 0.01), folds=1.3)):
+    for jitter in (EXACT, FitJitter(move=(0.02, 0.01), folds=1.3)):
         framing = framing_of(fitted, size=96)
-        one, other = (dressed_image(fit, framing, 0.4, looseness)[0] for fit in (fitted, stored))
+        one, other = (dressed_image(fit, framing, 0.4, jitter)[0] for fit in (fitted, stored))
         assert np.abs(one - other).max() < 1e-3
     assert np.array_equal(stored.rest, fitted.rest)
 
@@ -112,13 +108,13 @@ def fitted(tmp_path_factory):
     return Fitter().fit(person)
 
 
-def dressed_image(fit, framing, color, looseness=None):
+def dressed_image(fit, framing, color, jitter=EXACT):
     bodies = load_scene("sample")
     ids = np.flatnonzero(bodies.regions["shirt"] | bodies.regions["trousers"]).astype(np.int64)
-    shares = shares_of(fit, logo_positions(bodies.topology, ids), len(ids), looseness)
-    view = photograph_view(fit, shares, framing, looseness)
-    colors = torch.full((len(ids), 3), color)
-    return compose([view], colors, torch.zeros(1, 3, framing.size, framing.size))[0].numpy(), view, shares.to_scipy()
+    view = photograph_view(fit, logo_positions(bodies.topology, ids), len(ids), framing, jitter)
+    canvas = dressed([view], FacePattern(Cover(ids, bodies.topology)), blank(1, framing.size, framing.size).fill_(0))
+    image = canvas.paint(torch.full((len(ids), 3), color))[0].numpy()
+    return image, view, view.places.shares.to_scipy()
 
 
 def test_pixels_off_the_clothes_are_the_photographs(fitted):
@@ -156,10 +152,10 @@ def test_beyond_the_photograph_is_grey(fitted):
     assert np.allclose(image[:, :5, :5], 0.5, atol=1e-6)
 
 
-def test_looseness_moves_faces_and_never_leaves_the_clothes(fitted):
+def test_jitter_moves_faces_and_never_leaves_the_clothes(fitted):
     framing = framing_of(fitted, size=96)
     _, tight, shares = dressed_image(fitted, framing, 0.4)
-    _, loose, moved = dressed_image(fitted, framing, 0.4, Looseness(move=(0.05, 0.0)))
+    _, loose, moved = dressed_image(fitted, framing, 0.4, FitJitter(move=(0.05, 0.0)))
     assert (shares != moved).nnz > 100
     assert tight.box == loose.box
     assert (np.asarray(moved.sum(axis=1)).ravel() <= 1 + 1e-6).all()

@@ -10,10 +10,12 @@ import torch
 
 from cloak_core.core.batches import Batch
 from cloak_core.core.geometry import face_areas, face_centres
-from cloak_core.core.logo import region_mask
+from cloak_core.core.images import dressed
+from cloak_core.core.logo import Cover, region_mask
 from cloak_core.core.objective import Step, gradient_step
-from cloak_core.core.paint import compose
+from cloak_core.core.paint import blank
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
@@ -75,9 +77,9 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
     pool = Pool(settings, bodies, noise_backgrounds(), student.detector, people=fits)
     pair, cloak = pool.turn(0), pool.cloak(0, 0)
     draws = cloak.batcher.sampler.draw(0)
-    nothing = torch.zeros(len(cloak.logo), 3)
-    for image, (shown, seed) in zip(pair.clean, draws.views(), strict=True):
-        photograph = compose([cloak.batcher.source.undressed(shown, seed)], nothing, torch.zeros(1, 3, 96, 96))
+    own = OwnClothing(Cover(cloak.logo.face_ids[:1], cloak.logo.topology))  # any face: nothing is laid on it
+    for image, view in zip(pair.clean, cloak.batcher.images.make_views(draws.views(), own), strict=True):
+        photograph = dressed([view], own, blank(1, 96, 96)).paint(own.colors_in(view, 0))
         torch.testing.assert_close(image, photograph[0])
     worn = (pair.cloaked - pair.clean).abs().amax(1) > 0.05
     assert 0.001 < worn.float().mean() < 0.5, "only the person changes"
@@ -169,7 +171,7 @@ def test_cloths_that_repeat_are_among_the_cloaks_beside_the_same_clean_images(st
         for one in (settings, replace(settings, cloths=0.0))
     )
     cloak = pool.cloak(0, 0)
-    assert 0.2 <= cloak.worn.cloth.cloth.metres <= 0.55 and plain.cloak(0, 0).worn.cloth is None
+    assert 0.2 <= cloak.pattern.period <= 0.55 and plain.cloak(0, 0).pattern.period is None
     turn, other = pool.turn(0), plain.turn(0)
     assert torch.equal(turn.clean, other.clean) and not torch.equal(turn.cloaked, other.cloaked)
     assert cloak.face_colors().shape == (len(cloak.logo), 3) and cloak.texture().shape == (3, TEXTURE, TEXTURE)

@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import connected_components
 
 from cloak_core.core.geometry import face_areas
 from cloak_core.core.logo import Logo, load_logo, make_logo
-from cloak_core.core.patches import patch_of_face
+from cloak_core.patterns.groups import group_of_face
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from tests.core.fakes import box_bodies
 
@@ -23,20 +23,20 @@ def pieces(logo: Logo, patch: np.ndarray) -> int:
 def test_patches_are_joined_and_none_is_smaller_than_asked(size):
     bodies = sample_bodies("train").select_poses([0])
     logo = load_logo(bodies, region="chest+thighs")
-    patch = patch_of_face(bodies, logo, size)
+    patch = group_of_face(bodies, logo, size)
     areas = face_areas(bodies)[logo.face_ids]
     widths = np.sqrt(np.bincount(patch, areas) * 4 / np.pi)  # of discs as large
     assert np.array_equal(np.unique(patch), np.arange(len(widths)))
     assert pieces(logo, patch) == len(widths)
     assert widths.min() >= size and np.median(widths) < 2 * size
-    assert np.array_equal(patch, patch_of_face(bodies, logo, size))
+    assert np.array_equal(patch, group_of_face(bodies, logo, size))
 
 
 def test_distances_go_along_the_surface():
     """The front and the back of a thin box are near in space and far along it."""
     bodies = box_bodies()
     logo = make_logo(bodies, np.arange(bodies.face_count))
-    patch = patch_of_face(bodies, logo, 0.7)
+    patch = group_of_face(bodies, logo, 0.7)
     front, back = set(patch[:16]), set(patch[16:32])
     assert not front & back
 
@@ -44,4 +44,4 @@ def test_distances_go_along_the_surface():
 def test_a_piece_that_is_too_small_stays_alone():
     bodies = box_bodies()
     logo = make_logo(bodies, np.array([0, 1, 40]))
-    assert patch_of_face(bodies, logo, 5.0).tolist() == [0, 0, 1]
+    assert group_of_face(bodies, logo, 5.0).tolist() == [0, 0, 1]

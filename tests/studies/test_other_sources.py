@@ -1,7 +1,8 @@
-"""Whatever renders the views can be evaluated and reported: here people in photographs, which have no angle."""
+"""Whatever makes views can be evaluated and reported: here people in photographs, which have no angle."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,47 +11,48 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloak_core.core.detector.outcomes import OnBody, on_body
+from cloak_core.core.baking import baked_view
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.core.evaluation.renderer import EvaluationRenderer
 from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.images import ImageSet
+from cloak_core.core.logo import Cover
+from cloak_core.core.pattern import Pattern
+from cloak_core.core.source import Dealt
+from cloak_core.core.view import BakedView
+from cloak_core.patterns.controls import OwnClothing
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
-from cloak_core.studies.evaluate import FOLDER, evaluate_renderer, read_evaluation
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.studies.evaluate import FOLDER, Shown, evaluate, read_evaluation
 
 SETTINGS = EvaluateSettings(size=32, shift=0, resamples=100, batch=4, controls=(), bare=2)
-COLORS = {"logo": 0.2, "clothing": 0.8}
+COVER = Cover(np.zeros(1, np.int64), "photographs")
+PATTERNS = {"logo": FacePattern(COVER, colors=np.full((1, 3), 0.2, np.float32)), "clothing": OwnClothing(COVER)}
 
 
 class Photographs:
-    """Six photographs of three people, in a colour for each control; no angle, no distance, no background."""
+    """People who fill the middle of their photographs in one colour, beside a passer-by: a source that judges."""
 
-    body_names = ("Ada", "Bo", "Cy")
-    background_names = ("street", "square")
+    identity, works_on = None, torch.device("cpu")
+    directions, members, is_fresh = 1, 3, False
 
-    def __init__(self) -> None:
-        self.trials = pd.DataFrame({"pose": [0, 0, 1, 1, 2, 2], "photograph": list("uvwxyz")})
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
+        raise AssertionError("nobody trains on them")
 
-    def views(self, indices: Sequence[int] | np.ndarray) -> list:
-        return []
+    def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
+        everywhere, mask = torch.arange(32 * 32), torch.zeros(32, 32, dtype=torch.bool)
+        mask[4:28, 4:28] = True
+        place = everywhere, torch.zeros(32 * 32, dtype=torch.int64), torch.ones(32 * 32)
+        people = {"box": (4, 4, 28, 28), "mask": mask, "others": ((29, 0, 32, 32),)}
+        view = baked_view(*place, 1, torch.zeros(3, 32, 32), **people)
+        return replace(view, own=torch.full((1, 3), 0.8))
 
-    def compose(self, views: list, indices: Sequence[int] | np.ndarray, controls: Sequence[str]) -> Iterator[Tensor]:
-        for control in controls:
-            yield torch.full((len(indices), 3, 32, 32), COLORS[control])
 
-    def boxes(self, views: list, indices: Sequence[int] | np.ndarray) -> Tensor:
-        return torch.tensor([[4.0, 4, 28, 28]]).repeat(len(indices), 1)
-
-    def about_person(self, detections: Detections, views: list, indices: Sequence[int] | np.ndarray) -> Detections:
-        return detections._replace(scores=detections.scores.where(detections.boxes[..., 0] < 20, 0))
-
-    def on_person(self, detections: Detections, views: list, indices: Sequence[int] | np.ndarray) -> OnBody:
-        return on_body(detections, self.boxes(views, indices))
-
-    def bare(self, backgrounds: Sequence[int] | np.ndarray) -> Tensor:
-        return torch.zeros(len(backgrounds), 3, 32, 32)
-
-    def flat_views(self) -> dict[str, Tensor]:
-        return {}
+def photographs() -> ImageSet:
+    """Six photographs of three people; no angle, no distance, no background."""
+    trials = pd.DataFrame({"pose": [0, 0, 1, 1, 2, 2], "photograph": list("uvwxyz")})
+    behind = Backgrounds(["street", "square"], lambda index, height, width: np.zeros((height, width, 3), np.uint8))
+    return ImageSet(Photographs(), behind, (32, 32), "cpu", trials, ("Ada", "Bo", "Cy"), tuple(behind.names))
 
 
 class SeesBright(Detector):
@@ -73,23 +75,21 @@ class SeesBright(Detector):
 
 @pytest.mark.slow
 def test_photographs_are_evaluated_and_reported(tmp_path: Path) -> None:
-    renderer = Photographs()
-    assert isinstance(renderer, EvaluationRenderer)
     (tmp_path / "config.json").write_text("{}")
     circumstances = {"settings": {"threshold": 0.6, "size": 32}, "inputs": {"photographs": 6}, "warnings": []}
     circumstances |= {"unseen": {"bodies": True, "backgrounds": True}}
-    place = {"out": tmp_path / FOLDER}
-    summary = evaluate_renderer(renderer, {"bright": SeesBright()}, SETTINGS, circumstances, **place)
+    shown = Shown(photographs(), PATTERNS, circumstances, lambda *_: {"flat": {}})
+    summary = evaluate(shown, {"bright": SeesBright()}, SETTINGS, out=tmp_path / FOLDER)
     told = json.loads(json.dumps(summary, allow_nan=False))["detectors"]["bright"]
     assert told["by_angle"] == {} and set(told["by_body"]) == {"Ada", "Bo", "Cy"}
     assert told["logo"]["success"] == 1 and told["clothing"]["success"] == 0
     # The box is far smaller than the person: it counts as found because it lies within the person.
     assert told["clothing"]["success_iou"] == 0
     assert told["logo"]["renamed"] == 1 and told["logo"]["named"] == {"dog": 6} and told["clothing"]["renamed"] == 0
-    always = evaluate_renderer(renderer, {"bright": SeesBright(dog_always=True)}, SETTINGS, circumstances)
+    always = evaluate(shown, {"bright": SeesBright(dog_always=True)}, SETTINGS)
     told = always["detectors"]["bright"]["logo"]
     assert (told["renamed"], told["gone"], told["named_own"]) == (0, 1, {}), "the dog stood there in their own clothes"
-    assert summary["inputs"].keys() == {"photographs", "detector_hashes"}
+    assert summary["inputs"].keys() == {"photographs", "detector_hashes"}, "nobody knows the source's content"
     stored = read_evaluation(tmp_path / FOLDER)
     assert stored.results.trials["photograph"].tolist() == list("uvwxyz")
     assert [pair["body"] for pair in stored.pictures["gallery"]] == ["Ada", "Bo", "Cy"]
