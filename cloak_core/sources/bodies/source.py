@@ -116,7 +116,7 @@ class BodySource:
         """See `Source`: as the plan of a training does."""
         return self.plan.draw(dealt, random)
 
-    def planned(self, plan: BodyPlan, viewpoint: Camera) -> BodySource:
+    def planned(self, plan: BodyPlan | None, viewpoint: Camera) -> BodySource:
         """Show the same bodies as another plan says, from views that are kept together."""
         source = BodySource(self.bodies, self.settings, viewpoint, plan)
         source._caches = self._caches
