@@ -46,8 +46,6 @@ class Family:
     """What it loads is made faster (batch norm folded, memory laid out anew), and can be loaded without that."""
     trains: bool = True
     evaluates: bool = True
-    runs_code: bool = False
-    """What it names is executed: only the caller may name it, no record (`loading.check_recorded`)."""
     needs: str | None = None
     """The package beyond the project's own dependencies, None for none."""
 
@@ -157,7 +155,6 @@ FAMILIES = {
             "(for one of several detectors write the class into its spec: SPEC@person=CLASS)"
         },
         changes_networks=False,
-        runs_code=True,
         weights="your code",
         licence="yours",
         verified="a real Faster R-CNN brought this way",

@@ -15,12 +15,12 @@ from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.events import read_events
 from cloak_core.core.run_config import read_config
 from cloak_core.detectors.families import FAMILIES
-from cloak_core.detectors.loading import check_recorded
 from cloak_core.detectors.naming import BY_SUFFIX, behind_defences, missing_file
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
 from cloak_core.files.reading import is_number, read_json
+from cloak_core.files.specs import require_named
 from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, Picture
 from cloak_core.sources.bodies.selection import split_selection
@@ -55,9 +55,10 @@ def read_run(folder: Path) -> dict:
 def trained_specs(folder: Path, config: dict) -> list[str]:
     """List the detectors that a run was trained against.
 
-    InputError: one runs code, or its file is not here; the caller has to name it.
+    InputError: one runs code, asks the network, or its file is not here; the caller has to name it.
     """
-    specs = [check_recorded(record["spec"], folder) for record in config["detectors"]]
+    specs = [record["spec"] for record in config["detectors"]]
+    require_named(specs, folder)
     for spec in specs:
         if behind_defences(spec).family not in FAMILIES:
             raise InputError(f"{folder}: trained against {spec}, an object of a program: give it again (detectors=...)")
