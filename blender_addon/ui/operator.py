@@ -8,6 +8,7 @@ import bpy
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
 from ..session import session
+from ..trainer.consent import Unasked
 from ..trainer.preferences import trainer_reason
 from ..translations import said
 from .window import in_window, progress_cursor
@@ -52,6 +53,9 @@ class CloakOperator(bpy.types.Operator):
         try:
             message = work(*arguments)
         except InputError as error:
+            if isinstance(error, Unasked) and bpy.context.window is not None and not bpy.app.background:
+                bpy.ops.cloak.allow("INVOKE_DEFAULT", specs="\n".join(error.specs), then=self.bl_idname)
+                return {"CANCELLED"}
             self.report({"ERROR"}, said(str(error)))
             return {"CANCELLED"}
         if isinstance(message, set):

@@ -98,7 +98,7 @@ def test_no_operator_runs_without_a_body(stub):
 def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, monkeypatch):
     """The reason is the panel's own, and is asked for before anything runs."""
     always = {"detector_add", "detector_add_named", "show_made", "add_sample_body", "copy_install_line"}
-    always |= {"ready_cloak", "try_it", "set_angles", "explain", "test_trainer", "use_standard_view"}
+    always |= {"allow", "ready_cloak", "try_it", "set_angles", "explain", "test_trainer", "use_standard_view"}
     offered = {name for name in dir(bpy.ops.cloak) if getattr(bpy.ops.cloak, name).poll()}
     no_run = {"result_", "render_", "open_", "run_", "train_resume", "train_extend", "train_cancel", "logo_from_heat"}
     no_run |= {"export_glb", "evaluate", "print_sheets", "turntable", "film", "heatmap_toggle"}
