@@ -16,7 +16,6 @@ from torch.overrides import TorchFunctionMode
 from cloak_core.core.detector.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.decoding import Decoded, corners, in_pixels
-from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import IMAGENET, Placement
 from cloak_core.detectors.specs import MAX_SIDE, Request, check_size
@@ -89,7 +88,6 @@ def load_transformers(request: Request) -> TransformersDetector:
     No remote code is run; batch norm is folded where that changes nothing, unless told not to.
     InputError when the package is missing, the files are, weights are incomplete, or no label is the person.
     """
-    require("transformers", request.spec)
     folder = Path(request.what).expanduser()
     where = str(folder) if folder.is_dir() else request.what
     with nullcontext() if request.download else _offline():
