@@ -19,7 +19,6 @@ READERS = {
     "run/config.json": (
         EVALUATE,
         f"film run {SMALL} --fps 1 --seconds 1 --out new",
-        "print run --dpi 10 --out new",
         RESUME,
     ),
     "run/evaluation/summary.json": ("report run",),
