@@ -43,6 +43,7 @@ def content_hash(detectors: Mapping[str, Detector], circumstances: Mapping[str, 
 
     Not known: inputs without an `identity`, or a detector that no family loaded, whose code may be anything.
     """
+    # What cannot be known of an object equals nothing else, see `files.identity.UNKNOWN`.
     if "identity" not in circumstances["inputs"] or not all(detector.source for detector in detectors.values()):
         return None
     judges = [

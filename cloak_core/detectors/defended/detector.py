@@ -24,7 +24,8 @@ class DefendedDetector(Detector):
         self.partial_gradient = "; ".join(part for part in why if part)
         self.operating_point = inner.operating_point
         self.operating_point_assumed = inner.operating_point_assumed
-        self.source = {"defence": name, "value": value, "inner": inner.source or {"spec": inner.spec}}
+        self.source = {"defence": name, "value": value}
+        self.look_again = lambda: {"inner": inner.whole_source()}
         self.source |= {key: inner.source[key] for key in ("input_size", "layout") if key in inner.source}
         self.packages, self.class_names = inner.packages, inner.class_names
         if hasattr(inner, "person"):
