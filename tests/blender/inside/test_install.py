@@ -122,3 +122,16 @@ def test_a_figures_tooltip_says_what_it_means():
     from cloak.result.operators import CLOAK_OT_explain
 
     assert CLOAK_OT_explain.description(bpy.context, types.SimpleNamespace(tip="Share of images")) == "Share of images"
+
+
+def test_buttons_of_one_operator_have_tooltips_of_their_own():
+    for name, values in (
+        ("add_sample_body", {"people": ["BARE", "CLOTHED"]}),
+        ("stamp_drag", {"kind": ["SETTINGS", "LETTER", "SMILEY"]}),
+        ("logo_stamp", {"add": [False, True]}),
+    ):
+        cls = next(c for c in cloak.CLASSES if c.__name__ == f"CLOAK_OT_{name}")
+        rna = getattr(bpy.ops.cloak, name).get_rna_type()
+        ((key, choices),) = values.items()
+        told = [cls.description(bpy.context, types.SimpleNamespace(bl_rna=rna, **{key: choice})) for choice in choices]
+        assert len(set(told)) == len(choices), told
