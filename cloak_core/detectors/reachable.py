@@ -12,6 +12,7 @@ import enum
 import functools
 import hashlib
 import importlib.util
+import logging
 import os
 import site
 import sys
@@ -204,6 +205,7 @@ _KINDS = (
         | types.MemberDescriptorType,
         lambda walk, thing: walk._all("descriptor", [thing.__objclass__, thing.__name__]),
     ),
+    (logging.Logger, lambda walk, thing: walk._say("log")),
     (enum.Enum, lambda walk, thing: walk._all("member", [type(thing), thing.name])),
     (torch.Tensor, _Walk._tensor),
     (np.ndarray | np.generic, _Walk._array),

@@ -3,6 +3,7 @@
 import dataclasses
 import enum
 import functools
+import logging
 import subprocess
 import sys
 import threading
@@ -236,6 +237,11 @@ def test_what_cannot_be_known_is_never_found_again(make: Callable) -> None:
     first, second = record_of(closing_over(thing)), record_of(closing_over(thing))
     assert first["source"] != second["source"] and first["found again by"] != second["found again by"]
     assert trained_against({"detectors": [first]}, {"it": as_detector(closing_over(thing))}) == {"it": None}
+
+
+def test_where_it_logs_decides_nothing() -> None:
+    first, second = (record_of(Called([logging.getLogger(name)])) for name in ("a", "b"))
+    assert first == second and "unknown" not in first["source"]["content"]
 
 
 def test_an_object_that_changes_after_it_was_given_is_another() -> None:

@@ -25,11 +25,14 @@ class DefendedDetector(Detector):
         self.operating_point = inner.operating_point
         self.operating_point_assumed = inner.operating_point_assumed
         self.source = {"defence": name, "value": value}
-        self.look_again = lambda: {"inner": inner.whole_source()}
         self.source |= {key: inner.source[key] for key in ("input_size", "layout") if key in inner.source}
         self.packages, self.class_names = inner.packages, inner.class_names
         if hasattr(inner, "person"):
             self.person = inner.person
+
+    def look_again(self) -> dict[str, object]:
+        """See `Detector.look_again`."""
+        return {"inner": self.inner.whole_source()}
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         return self.defence.detect(self.inner, images)
