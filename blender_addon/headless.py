@@ -28,6 +28,7 @@ from .poses.poses import PoseChoice
 from .result import render_check
 from .trainer import command_lines
 from .trainer.command_lines import cloak_command, sample_words
+from .trainer.consent import allow
 from .trainer.jobs import Job, TrainingJob
 from .trainer.program import find_program
 from .training import runs
@@ -199,7 +200,8 @@ def main(arguments: list[str]) -> None:
 def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program: str, run: Path) -> None:
     """Export and train, with progress on standard output."""
     folder, words = runs.input_folder(run), train_options(options)
-    words += ["--made-from", "sample:train"] if options.sample else []
+    allow(words)
+    words += ["--made-from=sample:train"] if options.sample else []
     words += [f"--init={options.init.absolute()}"] if options.init else []
     if options.resume and folder.is_dir():
         done, begun = read_export(folder), runs.remembered_options(run)

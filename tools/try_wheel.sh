@@ -17,4 +17,12 @@ bin=$folder/environment/bin
 "$bin/cloak" evaluate RUN --samples 4 --size 160 --shift 16 --most-images 8 --bare 16
 "$bin/cloak" report RUN
 test -s RUN/report.html
+# An empty file of every family: one line that says what is missing or wrong, whatever extras there are.
+touch a.onnx a.pt a.xml a.tflite a.cfg a.weights a.pth a.py
+for spec in a.onnx a.pt a.xml a.tflite a.cfg torchvision:ssd300_vgg16:a.pth transformers:RUN python:a.py:load; do
+    code=0
+    "$bin/cloak" detectors check "$spec" --image "$(ls RUN/previews/*.png | head -1)" 2>said || code=$?
+    cat said
+    [ "$code" = 2 ] && ! grep -q Traceback said
+done
 echo "$(basename "$file") does what the README says on $("$bin/python" -V), in $folder"

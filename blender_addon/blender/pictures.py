@@ -46,9 +46,9 @@ def new_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
     """A new image of pixels [H, W, 3] or, with alpha, [H, W, 4]; not packed."""
     height, width, channels = pixels.shape
     image = bpy.data.images.new(name, width, height, alpha=channels == 4)
-    opaque = np.ones((height, width, 4), np.float32)
-    opaque[..., :channels] = pixels
-    image.pixels.foreach_set(opaque.ravel())
+    if channels < 4:
+        pixels = np.append(pixels, np.ones((height, width, 1)), axis=2)
+    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
     image.update()
     return image
 

@@ -47,7 +47,7 @@ modifiers stay; shape keys end in their present mix"""
         return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
 
 
-class CLOAK_OT_add_sample_body(CloakOperator, label="Add Sample Body"):
+class CLOAK_OT_add_sample_body(CloakOperator, label="Add Sample Body", told_by="people"):
     """Add Cloak's own people, one pose a frame, with named regions as logos: standing in clothing that is painted on, \
 or walking and running in a shirt and trousers that are objects of their own"""
 
@@ -78,7 +78,7 @@ def _add(job: Job | None, scene: Path, people: str) -> str:
             bpy.ops.view3d.view_selected()
     settings = bpy.context.scene.cloak
     settings.pose_source, settings.frame_step = "RANGE", 1
-    settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
+    settings.frame_start, settings.frame_end = 1, bodies.pose_count
     logo = CLOTHES if clothed else "chest"
     if logo in logo_names(obj.data):
         obj.cloak.logo = logo

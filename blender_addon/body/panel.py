@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panel of step 1: the mesh that wears the logo, and the program that trains."""
+"""Panel of step 1: the mesh that wears the logo."""
 
 import bpy
 
-from ..trainer.preferences import PACKAGE, preferences, trainer_reason
+from ..blender.faces import logo_names
+from ..trainer.preferences import trainer_reason
 from ..translations import said
-from ..ui.panel_parts import CloakPanel, figure, wrapped
+from ..ui.panel_parts import CloakPanel, wrapped
 from .garments import unseen_on, wearable
 from .objects import active_body, body_reason
 
@@ -14,7 +15,6 @@ UNSEEN = (
     "Instances Real)"
 )
 MOST_WORN = 8  # most worn objects to list
-TRAINER = "The program that trains, outside of Blender; the add-on's preferences choose and test it"
 
 
 class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
@@ -24,10 +24,11 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         reason = body_reason(context)
         if reason:
             wrapped(self.layout, context, reason)
-            if not trainer_reason():
-                self.layout.operator("cloak.try_it", icon="PLAY")
         else:
             self._body(context, active_body(context))
+        # The cube of a new file is a body, too.
+        if not trainer_reason() and (reason or not logo_names(active_body(context).data)):
+            self.layout.operator("cloak.try_it", icon="PLAY")
         row = self.layout.row(align=True)
         splits = row.row(align=True)
         splits.enabled = not reason
@@ -36,8 +37,8 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         row = self.layout.row(align=True)
         row.operator("cloak.add_sample_body", text="Sample Body", icon="ADD").people = "BARE"
         row.operator("cloak.add_sample_body", text="Clothed", icon="ADD").people = "CLOTHED"
-        self.progress(context, "Sample body")
-        self._trainer(context)
+        self.outcome(context, "Sample body")
+        self.outcome(context, "Test")
 
     def _body(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
         """Draw the body and what it wears, each piece with its visibility switch."""
@@ -50,14 +51,3 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
             row.prop(worn.cloak, "left_out", text="", icon=icon, toggle=True)
         if unseen := ", ".join(f"'{o.name}'" for o in unseen_on(obj)[:MOST_WORN]):
             wrapped(self.layout, context, UNSEEN.format(unseen), icon="ERROR")
-
-    def _trainer(self, context: bpy.types.Context) -> None:
-        """Draw which trainer is used, or how to get one."""
-        if reason := trainer_reason():
-            wrapped(self.layout, context, reason)
-            row = self.layout.row(align=True)
-            row.operator("cloak.copy_install_line", icon="COPYDOWN")
-            row.operator("preferences.addon_show", text="", icon="PREFERENCES").module = PACKAGE
-        else:
-            figure(self.layout, preferences().answer or "Trainer found", TRAINER, "CONSOLE")
-        self.progress(context, "Test")

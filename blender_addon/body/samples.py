@@ -77,8 +77,7 @@ def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
 def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
     """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
 
-    The outfits become our colour attributes in the role `OUTFIT`, the first shown by a material; the
-    scene's frame range is set to the poses.
+    The outfits become our colour attributes in the role `OUTFIT`, the first shown by a material.
     """
     mesh = bpy.data.meshes.new(bodies.name)
     poses = blender_axes(bodies.vertices)
@@ -98,13 +97,13 @@ def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Obje
     mesh.materials.append(colors.attribute_material(layer_name(mesh, OUTFIT), OUTFIT, "Cloak Outfit"))
     colors.show_attribute(obj, OUTFIT)
     if bodies.pose_count > 1:
-        _key_poses(context.scene, obj, poses, bodies.names)
+        _key_poses(obj, poses, bodies.names)
     if context.mode == "OBJECT":
         choose(context, obj)
     return obj
 
 
-def _key_poses(scene: bpy.types.Scene, obj: bpy.types.Object, poses: np.ndarray, names: tuple[str, ...]) -> None:
+def _key_poses(obj: bpy.types.Object, poses: np.ndarray, names: tuple[str, ...]) -> None:
     """Key pose p as a shape key that is 1 on frame p + 1 and 0 on all others."""
     obj.shape_key_add(name=names[0], from_mix=False)
     for index in range(1, len(poses)):
@@ -115,5 +114,3 @@ def _key_poses(scene: bpy.types.Scene, obj: bpy.types.Object, poses: np.ndarray,
             key.keyframe_insert("value", frame=frame)
         key.value = 0.0
     obj.data.shape_keys.name = f"{obj.name} poses"
-    scene.frame_start, scene.frame_end = 1, len(poses)
-    scene.frame_set(1)

@@ -122,4 +122,4 @@ class CLOAK_PT_heatmap(CloakPanel, label="Heatmap", inside="logo"):
             column.operator("cloak.heatmap_toggle", text=text, icon="HIDE_ON" if shown else "HIDE_OFF")
             column.prop(context.scene.cloak, "heat_share")
             column.operator("cloak.logo_from_heat")
-        self.progress(context, "Heatmap")
+        self.outcome(context, "Heatmap")

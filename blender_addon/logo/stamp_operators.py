@@ -55,7 +55,7 @@ class StampOperator(BodyOperator):
         return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
 
 
-class CLOAK_OT_logo_stamp(StampOperator, label="Stamp"):
+class CLOAK_OT_logo_stamp(StampOperator, label="Stamp", told_by="add"):
     """Project the stamp onto the body's front and make a logo of the faces it covers"""
 
     add: props.switch("Add", "Add to the active logo instead of making a new one")
@@ -66,7 +66,7 @@ class CLOAK_OT_logo_stamp(StampOperator, label="Stamp"):
         return self.write(front_projection(obj, *place, self._placed.aspect), self.add)
 
 
-class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reason):
+class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reason, told_by="kind"):
     """Drag the stamp over the body, see what it takes, click to stamp. The mouse wheel resizes, R rotates"""
 
     kind: props.choice(

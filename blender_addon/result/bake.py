@@ -50,8 +50,7 @@ def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambd
         users = None
     if users is not None:
         name = users.name
-        pixels = _on_map(mesh, name, wanted, size)
-        show(0.4)
+        pixels = _on_map(mesh, name, wanted, size, lambda part: show(0.5 * part))
         off = faces_off(mesh, name, pixels, wanted)
         if off > FEW * len(wanted):
             before, users = off, None
@@ -83,14 +82,16 @@ def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.
     return int((outside | (np.abs(pixels[y, x, :3] - wanted) > OFF).any(1)).sum())
 
 
-def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) -> np.ndarray:
+def _on_map(
+    mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int, show: Callable[[float], None]
+) -> np.ndarray:
     """[S, S, 4]: the colours on a UV map of the user's."""
     loops, owner = triangle_corners(mesh)
-    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size)
+    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size, show)
     pixels = np.zeros((size, size, 4), np.float32)
-    pixels[face >= 0, :3] = wanted[face[face >= 0]]
-    pixels[face >= 0, 3] = 1
-    return _spread(pixels)
+    filled = face >= 0
+    pixels[filled] = np.append(wanted, np.ones((len(wanted), 1), np.float32), axis=1)[face[filled]]
+    return _spread(pixels, filled)
 
 
 def _sew(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray) -> None:
@@ -136,30 +137,34 @@ def make_own_map(obj: bpy.types.Object, size: int) -> str:
 
 def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
     """[S, S, 4]: each face's colour in its square."""
-    side, pixels = squares_along(count, size), np.ones((size, size, 4), np.float32)
-    row, column = np.minimum(np.mgrid[:size, :size] // (size // side), side - 1)
-    pixels[..., :3] = wanted[np.minimum(row * side + column, count - 1)]
-    return pixels
+    side = squares_along(count, size)
+    square = np.minimum(np.arange(size, dtype=np.int32) // (size // side), side - 1)
+    face = np.minimum(square[:, None] * np.int32(side) + square, count - 1)
+    return np.append(wanted, np.ones((count, 1), np.float32), axis=1)[face]
 
 
-def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> np.ndarray:
+def rasterize(
+    places: np.ndarray, triangle_face: np.ndarray, size: int, show: Callable[[float], None] = lambda part: None
+) -> np.ndarray:
     """Texture coordinates [T, 3, 2] of faces [T] onto texels [size, size]: one of their faces, -1 for none.
 
     Row 0 is at the bottom, as Blender stores images. Triangles beyond the unit square are cut off.
     """
     points = np.concatenate([places.reshape(-1, 2) * size, np.zeros((3 * len(places), 1))], 1)
-    _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size))
+    _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size), show)
     return np.where(owner >= 0, triangle_face[owner], -1)
 
 
-def _spread(pixels: np.ndarray) -> np.ndarray:
-    """Colours go on beyond the islands by `MARGIN` texels."""
+def _spread(pixels: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    """Let the colours of filled texels [S, S] go on beyond the islands by `MARGIN` texels, in place."""
     for _ in range(MARGIN):
-        empty = pixels[..., 3] == 0
+        before = filled.copy()
         for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            beside = np.roll(pixels, step, axis)
-            taken = empty & (beside[..., 3] > 0) & (pixels[..., 3] == 0)
-            pixels[taken] = beside[taken]
+            texels = np.nonzero(np.roll(before, step, axis) & ~filled)
+            beside = list(texels)
+            beside[axis] = (beside[axis] - step) % len(pixels)
+            pixels[texels] = pixels[tuple(beside)]
+            filled[texels] = True
     return pixels
 
 

@@ -61,7 +61,7 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
         row = column.row(align=True)
         row.operator("cloak.open_report", icon="URL")
         row.operator("cloak.render_check", icon="RENDER_STILL")
-        self.progress(context, "Render check", "Report")
+        self.outcome(context, "Render check", "Report")
         state = run_list.selected(context)
         if not reason and state is not None and state.checks:
             self._checks(context, state.checks)
@@ -95,7 +95,7 @@ class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", train
         column.prop(judging, "backgrounds")
         settings_column(column, judging, "images", "angle", align=True)
         self.layout.operator("cloak.evaluate", icon="VIEWZOOM")
-        self.progress(context, "Evaluation")
+        self.outcome(context, "Evaluation")
         state = run_list.selected(context)
         if state is not None and state.evaluation is not None:
             self._result(context, state.evaluation)
@@ -137,7 +137,7 @@ class CLOAK_PT_take_along(CloakPanel, label="Print, Film, Image", inside="result
         column.operator("cloak.turntable", icon="CON_ROTLIKE")
         column.operator("cloak.film", icon="VIEW_CAMERA")
         settings_column(self.layout, context.scene.cloak.judging, "film_format", "film_seconds")
-        self.progress(context, "Print Sheets", "Turntable", "Film with Camera")
+        self.outcome(context, "Print Sheets", "Turntable", "Film with Camera")
         if result_reason(context):
             return
         for path in made(run_of(active_body(context)))[:LATEST]:

@@ -13,7 +13,10 @@ from ..blender import colors
 from ..blender.pictures import new_image, read_picture
 from ..body.objects import active_body
 from ..session import session
+from ..trainer.command_lines import options
+from ..trainer.consent import require
 from ..trainer.jobs import Job
+from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
 from ..translations import said
 from ..ui.operator import CloakOperator
@@ -29,6 +32,7 @@ class CLOAK_OT_try_it(CloakOperator, label="Try It", trains=True):
 cloak and without, for the detector to judge. Takes some minutes; Blender stays usable"""
 
     def run(self, context: bpy.types.Context) -> str:
+        require(options(judges(context.scene.cloak)))
         bpy.ops.cloak.add_sample_body()
         _then("Sample body", _train)
         return "Sample body, short training, check: the status bar shows how far it is"

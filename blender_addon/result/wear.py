@@ -118,7 +118,7 @@ class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=
         judging = context.scene.cloak.judging
         settings_column(self.layout, judging, "people")
         self.layout.operator("cloak.wear", icon="COMMUNITY")
-        self.progress(context, "Wear")
+        self.outcome(context, "Wear")
         worn = None if result_reason(context) else last_worn(run_of(active_body(context)))
         if worn is None:
             return

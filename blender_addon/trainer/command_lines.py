@@ -4,11 +4,28 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from ..files.errors import InputError
 from ..files.specs import split_spec
+from .consent import require
 from .program import start_words
 
 SAMPLES = {"BARE": "sample:train", "CLOTHED": "sample-clothed:train"}
 """Training splits of the sample people; the other splits are held out for evaluation."""
+
+
+OPTIONS = ("detector", "backgrounds", "angles", "preset", "steps", "device", "config", "init", "made-from")
+"""Of `cloak train`: what the add-on sets."""
+
+
+def known_options(words: list[str], source: Path) -> list[str]:
+    """Return the options that a file keeps. Raises `InputError` for any that the add-on would not have written."""
+    if words[-2:] == ["--made-from", "sample:train"]:  # of an earlier version
+        words = [*words[:-2], "--made-from=sample:train"]
+    known = tuple(f"--{name}=" for name in OPTIONS)
+    for word in words:
+        if not word.startswith(known):
+            raise InputError(f"{source}: {word.partition('=')[0]} is no option of a run that Blender started")
+    return words
 
 
 def options(detectors: Iterable[str], **values: object) -> list[str]:
@@ -50,8 +67,13 @@ def _absolute_file(part: str) -> str:
 
 
 def cloak_command(program: str, *words: object) -> list[str]:
-    """A command of the trainer, `cloak WORDS...`, that prints its answer as JSON."""
-    return [*start_words(program), *map(str, words), "--json"]
+    """A command of the trainer, `cloak WORDS...`, that prints its answer as JSON.
+
+    Every command passes here: raises `Unasked` where a word needs the user's yes first.
+    """
+    words = [str(word) for word in words]
+    require(words)
+    return [*start_words(program), *words, "--json"]
 
 
 def train_command(program: str, options: list[str], scene: Path, logo: Path, run: Path) -> list[str]:

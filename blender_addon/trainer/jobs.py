@@ -239,6 +239,12 @@ class TrainingJob(Job):
         with contextlib.suppress(OSError):
             (self.run / "cancel").touch()
 
+    def _verdict(self, code: int) -> tuple[str, str]:
+        if self.is_ours or self._cancelled or code in (0, STOPPED):
+            return super()._verdict(code)
+        # Whoever started it was told its exit code.
+        return "failed", self.progress.why or f"Training ended without a word after step {self.progress.step}"
+
     def _finish(self, state: str, message: str) -> None:
         if state == "done":
             message = f"Training done: {self.progress.describe()}, {self.progress.figures()}"

@@ -5,8 +5,12 @@ import json
 
 import bpy
 
+from ..files.errors import InputError
+from ..files.specs import reach
+from ..ui import props
 from ..ui.operator import CloakOperator
 from .command_lines import cloak_command
+from .consent import allow
 from .jobs import Job, last_words, launch
 from .preferences import preferences, trainer, user_folder
 from .program import INSTALL_LINE
@@ -41,3 +45,30 @@ class CLOAK_OT_copy_install_line(CloakOperator, label="Copy Installation Line"):
     def run(self, context: bpy.types.Context) -> str:
         context.window_manager.clipboard = INSTALL_LINE
         return "Copied: paste it into a terminal"
+
+
+class CLOAK_OT_allow(CloakOperator, label="Use What This File Names"):
+    """Let the named detectors be used, as they are now, until Blender is closed"""
+
+    specs: props.text("", "", options={"HIDDEN", "SKIP_SAVE"})  # a line each
+    then: props.text("", "", options={"HIDDEN", "SKIP_SAVE"})  # the operator that asked
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_props_dialog(self, width=600)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        for spec in self.specs.split("\n"):
+            runs = reach(spec) == "runs code"
+            self.layout.label(
+                text="This runs code with all your rights:" if runs else "This asks the network:", icon="ERROR"
+            )
+            self.layout.label(text=spec, translate=False)
+        self.layout.label(text="Only where you trust whoever made this file or folder")
+
+    def run(self, context: bpy.types.Context) -> str:
+        allow(self.specs.split("\n"))
+        try:
+            getattr(bpy.ops.cloak, self.then.removeprefix("cloak."))("INVOKE_DEFAULT")
+        except RuntimeError as error:  # what that operator reported
+            raise InputError(str(error).strip()) from None
+        return ""

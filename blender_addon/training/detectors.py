@@ -14,6 +14,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
 from ..trainer.command_lines import cloak_command
+from ..trainer.consent import allow
 from ..trainer.jobs import Job, launch, waits
 from ..trainer.preferences import trainer, user_folder
 from ..ui import props
@@ -38,17 +39,28 @@ def _changed(self: "CloakDetector", context: bpy.types.Context) -> None:
     self.checked, self.gradients = "", True
 
 
+def _file_chosen(self: "CloakDetector", context: bpy.types.Context) -> None:
+    _changed(self, context)
+    if self.file.lower().endswith(".py"):
+        allow([FAMILIES[".py"].format(file=absolute(self.file))])
+
+
+def _spec_typed(self: "CloakDetector", context: bpy.types.Context) -> None:
+    _changed(self, context)
+    allow([self.spec.strip()])
+
+
 class CloakDetector(bpy.types.PropertyGroup):
     """One detector of the list."""
 
     file: props.path(
-        "File", "The detector's file: .onnx, .pt, .xml, .tflite, .cfg (with its .weights) or .py", update=_changed
+        "File", "The detector's file: .onnx, .pt, .xml, .tflite, .cfg (with its .weights) or .py", update=_file_chosen
     )
     weights: props.path("Weights", "Of a .cfg: its .weights file", update=_changed)
     spec: props.text(
         "Name",
         "A detector without a file of its own, as the command line names it: builtin, torchvision:NAME",
-        update=_changed,
+        update=_spec_typed,
     )
     options: props.text(
         "Options",
@@ -95,6 +107,8 @@ class CloakDetector(bpy.types.PropertyGroup):
             words = family_of(Path(file))
             weights = existing(self.weights, "Detector > Weights") if "{weights}" in words else ""
             words = words.format(file=file, weights=weights)
+        if words.startswith("-"):  # it stands alone in some commands
+            raise InputError(f"Detector > Name: {words} is an option, not a detector")
         return f"{words}@{self.options.strip()}" if self.options.strip() else words
 
     @property

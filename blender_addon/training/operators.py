@@ -14,6 +14,7 @@ from ..poses.export import export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_options
 from ..session import session
 from ..trainer.command_lines import differing_options, train_command
+from ..trainer.consent import require
 from ..trainer.jobs import Job, TrainingJob, launch, waits
 from ..trainer.preferences import trainer
 from ..ui import props
@@ -98,6 +99,7 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     logo = begun.logo if begun and begun.logo in logo_names(obj.data) else active_logo(obj)
     options, program = train_options(settings), trainer()
     options += [f"--init={begun.path}"] if begun else []
+    require(options)
     if obj.mode == "EDIT":
         bpy.ops.object.mode_set(mode="OBJECT")
     for job in session.jobs:

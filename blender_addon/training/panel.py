@@ -11,7 +11,7 @@ from ..session import session
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import run_list
-from .detectors import CHECK, active_detector, judges
+from .detectors import active_detector, judges
 from .operators import kept_reason, train_reason
 from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
 
@@ -47,7 +47,7 @@ class CLOAK_PT_train(CloakPanel, label="4. Train", trains=True):
         row.operator("cloak.train_extend")
         if kept := kept_reason(context):
             wrapped(self.layout, context, kept)
-        self.progress(context, "Training")
+        self.outcome(context, "Training")
 
     def _detectors(self, context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
         """The list, which works without a body too; below it what is known of the chosen one."""
@@ -76,8 +76,6 @@ class CLOAK_PT_train(CloakPanel, label="4. Train", trains=True):
             wrapped(self.layout, context, words, icon="CHECKMARK" if chosen.works else "ERROR")
         else:
             self.layout.operator("cloak.detector_check", icon="VIEWZOOM")
-        if session.job_of(CHECK) and session.job_of(CHECK).active:
-            self.progress(context, CHECK)
 
 
 class CLOAK_PT_settings(CloakPanel, label="Settings", inside="train"):

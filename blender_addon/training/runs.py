@@ -30,6 +30,7 @@ from ..files.reading import read_json
 from ..files.writing import write_json
 from ..poses.export import RECORD, Export, read_export
 from ..session import session
+from ..trainer.command_lines import known_options
 from ..trainer.jobs import Job
 from ..ui.operator import push_undo
 from .cloths import read_cloth
@@ -99,11 +100,12 @@ def remember_options(run: Path, options: list[str]) -> None:
 
 
 def remembered_options(run: Path) -> list[str]:
-    """The options a run was started with."""
+    """The options a run was started with. Raises `InputError` for others."""
     record = read_json(input_folder(run) / COMMAND)
     options, project = record.get("options"), record.get("project", "")
     if not isinstance(options, list) or not all(isinstance(word, str) for word in (*options, project)):
         raise InputError(f"{input_folder(run) / COMMAND}: not the options of a run")
+    options = known_options(options, input_folder(run) / COMMAND)
     if not project:
         return options
     folder = os.path.normpath(input_folder(run) / project)

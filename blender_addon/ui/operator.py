@@ -8,6 +8,7 @@ import bpy
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
 from ..session import session
+from ..trainer.consent import Unasked
 from ..trainer.preferences import trainer_reason
 from ..translations import said
 from .window import in_window, progress_cursor
@@ -34,14 +35,23 @@ class CloakOperator(bpy.types.Operator):
         return not reason
 
     trains = False  # whether it needs the trainer
+    told_by = ""  # the property by which its buttons differ, and so do their tooltips
 
     def __init_subclass__(
-        cls, label: str = "", needs: Callable[[bpy.types.Context], str] | None = None, trains: bool = False
+        cls, label: str = "", needs: Callable[[bpy.types.Context], str] | None = None, **known: bool | str
     ) -> None:
         cls.bl_idname, cls.bl_label = "cloak." + cls.__name__.removeprefix("CLOAK_OT_"), label
-        cls.trains = trains
+        cls.trains, cls.told_by = known.get("trains", cls.trains), known.get("told_by", cls.told_by)
         if needs is not None:
             cls.needs = staticmethod(needs)
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """A button's tooltip: what the value of its own does; "" is the class's docstring."""
+        if not cls.told_by or not (value := getattr(properties, cls.told_by)):
+            return ""
+        declared = properties.bl_rna.properties[cls.told_by]
+        return said(declared.enum_items[value].description if declared.type == "ENUM" else declared.description)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.attempt(self.run, context)
@@ -52,6 +62,9 @@ class CloakOperator(bpy.types.Operator):
         try:
             message = work(*arguments)
         except InputError as error:
+            if isinstance(error, Unasked) and bpy.context.window is not None and not bpy.app.background:
+                bpy.ops.cloak.allow("INVOKE_DEFAULT", specs="\n".join(error.specs), then=self.bl_idname)
+                return {"CANCELLED"}
             self.report({"ERROR"}, said(str(error)))
             return {"CANCELLED"}
         if isinstance(message, set):

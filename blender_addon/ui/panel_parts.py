@@ -7,14 +7,8 @@ import bpy
 
 from ..body.objects import NO_BODY, body_reason
 from ..session import session
-from ..trainer import jobs
 from ..trainer.preferences import trainer_reason
 from ..translations import said
-
-FIGURES = (
-    "Loss: what training makes small, of the last step. Success: the share of the last training images in which the "
-    "detector does not report the body, a running mean"
-)
 
 
 def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "INFO") -> None:
@@ -84,22 +78,9 @@ class CloakPanel(bpy.types.Panel):
         if reason:
             wrapped(self.layout, context, NO_BODY if body_reason(context) else reason)
 
-    def progress(self, context: bpy.types.Context, *labels: str) -> None:
-        """Draw this panel's jobs: progress, place in the queue, or how the last one ended."""
-        session.panel_seen = True
-        for number, job in enumerate(session.jobs):
-            if job.label in labels and job.active:
-                self._active(context, number, job)
+    def outcome(self, context: bpy.types.Context, *labels: str) -> None:
+        """Draw how the last of this panel's jobs ended; the panel on top shows those that run."""
         job = session.job_of(*labels)
         if job and not job.active and job.message:
             bad = job.state == "failed" or job.is_bad_news
             wrapped(self.layout, context, job.message, icon="ERROR" if bad else "CHECKMARK")
-
-    def _active(self, context: bpy.types.Context, number: int, job: jobs.Job) -> None:
-        row = self.layout.row(align=True)
-        row.progress(factor=job.fraction, text=said(job.describe()))
-        row.operator("cloak.train_cancel", text="", icon="X").number = number
-        if isinstance(job, jobs.TrainingJob) and job.progress.figures():
-            figure(self.layout, job.progress.figures().capitalize(), FIGURES)
-        if job.notice:
-            wrapped(self.layout, context, job.notice, icon="ERROR")

@@ -37,7 +37,7 @@ class Sweep(Sharing):
     """Folder for the runs and their table; the same one goes on with what is left."""
 
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors of the grid that run code, python:FILE.py:FUNCTION: only what is named here, too, is run."""
+    """Detectors of the grid that run code (python:) or ask the network: only what is named here, too, is used."""
     device: str | None = None
     """Torch device of every run (default: what the grid says, else cpu)."""
     threads: int | None = None

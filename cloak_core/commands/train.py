@@ -29,6 +29,7 @@ from cloak_core.core.settings.components import (
 from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json, read_toml
+from cloak_core.files.specs import reach
 from cloak_core.files.writing import is_taken
 
 
@@ -211,11 +212,9 @@ class Train(Detecting):
         return "on what training never saw"
 
     def following(self, result: dict) -> tuple[str, ...]:
-        from cloak_core.detectors.loading import runs_code
-
         judged = ("--people", _other_people(self.people) or OTHERS) if self.people else ()
         judged += ("--images", str(self.images)) if self.people and self.images else ()
-        named = [word for spec in self.detector if runs_code(spec) for word in ("--detector", spec)]
+        named = [word for spec in self.detector if reach(spec) for word in ("--detector", spec)]
         return ("evaluate", result["out"], *judged, *named)
 
 

@@ -75,6 +75,7 @@ def identity(
     Not known: images that somebody else renders, or a detector that no family loaded, whose code may be anything.
     """
     shown = images.identity
+    # What cannot be known of an object equals nothing else, see `files.identity.UNKNOWN`.
     if shown is None or not all(detector.source for detector in detectors.values()):
         return None
     judges = [

@@ -7,6 +7,7 @@ from cloak_core.core.settings import settings_from_record, settings_record
 from cloak_core.core.technique import discovered
 from cloak_core.files.columns import read_columns, write_columns
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import UNKNOWN
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 
@@ -36,7 +37,7 @@ AROUND = ("torch", "numpy", "device", "threads", "processes")
 """What of the environment may move the last bits of a result."""
 
 MATERIAL = {
-    "scene": ("poses", "pose_sha256", "pose_shapes"),
+    "scene": ("poses", "pose_sha256", "pose_shapes", "pose_spreads"),
     "backgrounds": ("names", "identities", "files", "looks"),
     "people": ("photographs", "licences", "pixels", "looks"),
 }
@@ -120,6 +121,6 @@ def _difference(name: str, old: object, new: object) -> tuple[str, object, objec
         if len(old) != len(new):
             return f"the number of {name}", len(old), len(new)
         pairs = [(f"{name}[{i}]", *both) for i, both in enumerate(zip(old, new, strict=True))]
-    elif old != new:
+    elif old != new and not all(str(value).startswith(UNKNOWN) for value in (old, new)):
         return name, old, new
     return next((difference for pair in pairs if (difference := _difference(*pair))[0]), ("", None, None))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from cloak_core.detectors.defended.table import list_defences
-from cloak_core.detectors.extras import install_command, installed
+from cloak_core.detectors.extras import install_command, installed, require
 from cloak_core.detectors.specs import PERSON, Request
 from cloak_core.files.errors import InputError
 
@@ -46,10 +46,8 @@ class Family:
     """What it loads is made faster (batch norm folded, memory laid out anew), and can be loaded without that."""
     trains: bool = True
     evaluates: bool = True
-    runs_code: bool = False
-    """What it names is executed: only the caller may name it, no record (`loading.check_recorded`)."""
-    needs: str | None = None
-    """The package beyond the project's own dependencies, None for none."""
+    needs: tuple[str, ...] = ()
+    """Packages beyond the project's own dependencies."""
 
     def check(self, request: Request) -> None:
         """Check a spec before any file is read. InputError: another form, an option that means nothing here."""
@@ -62,6 +60,8 @@ class Family:
 
     def load(self, request: Request) -> Detector:
         """Load the detector, frozen, on the CPU. InputError: whatever the loader cannot find, read or understand."""
+        for package in self.needs:  # before the loader's module, which may import them
+            require(package, request.spec)
         module, _, function = self.loader.partition(":")
         return getattr(importlib.import_module(f"cloak_core.detectors.{module}"), function)(request)
 
@@ -97,7 +97,7 @@ FAMILIES = {
         loader="transformers_family:load_transformers",
         parts=(1, None),
         refuses=NO_LAYOUT | {"letterbox": "the model's own processor resizes; drop letterbox"},
-        needs="transformers",
+        needs=("transformers",),
         weights="your folder, or the local cache",
         licence="Apache-2.0; weights: see the model card",
         verified="logits and post-processing of the library, small random models of each family",
@@ -108,7 +108,7 @@ FAMILIES = {
         parts=(1, 2),
         refuses={},
         changes_networks=False,
-        needs="onnx2torch",
+        needs=("onnxruntime", "onnx", "onnx2torch"),
         weights="your file",
         licence="MIT (onnxruntime), Apache-2.0 (onnx, onnx2torch); weights: their authors'",
         verified="against onnxruntime at every file's first loading; hand-made models of each output layout",
@@ -120,7 +120,7 @@ FAMILIES = {
         refuses={},
         changes_networks=False,
         trains=False,
-        needs="openvino",
+        needs=("openvino",),
         weights="your .xml and .bin",
         licence="Apache-2.0 (openvino); weights: their authors'",
         verified="an Open Model Zoo network against its ONNX twin",
@@ -132,7 +132,7 @@ FAMILIES = {
         refuses={},
         changes_networks=False,
         trains=False,
-        needs="ai_edge_litert",
+        needs=("ai_edge_litert",),
         weights="your file",
         licence="Apache-2.0 (LiteRT); weights: their authors'",
         verified="MediaPipe's pose detector against its ONNX twin",
@@ -142,7 +142,7 @@ FAMILIES = {
         loader="ultralytics_family.detector:load_ultralytics",
         parts=(1, 1),
         refuses={name: why for name, why in NO_LAYOUT.items() if name != "stretch"},
-        needs="ultralytics",
+        needs=("ultralytics",),
         weights="your .pt (ultralytics' or an original YOLOv5's), or a .yaml with random ones",
         licence="AGPL-3.0 (the package and its official weights; files made from such a model keep that licence)",
         verified="ultralytics' own decoded output, every family; an original YOLOv5 against its ONNX twin",
@@ -157,7 +157,6 @@ FAMILIES = {
             "(for one of several detectors write the class into its spec: SPEC@person=CLASS)"
         },
         changes_networks=False,
-        runs_code=True,
         weights="your code",
         licence="yours",
         verified="a real Faster R-CNN brought this way",
@@ -176,8 +175,8 @@ def list_families() -> dict[str, list[dict]]:
     told = ("spec", "trains", "evaluates", "needs", "weights", "licence", "verified")
     families = []
     for name, family in FAMILIES.items():
-        there = family.needs is None or installed(family.needs)
-        install = None if there or family.needs is None else install_command(family.needs)
-        row = {key: getattr(family, key) for key in told}
-        families.append({"family": name, **row, "installed": there, "install": install})
+        missing = [package for package in family.needs if not installed(package)]
+        install = install_command(missing[0]) if missing else None
+        row = {key: getattr(family, key) for key in told} | {"needs": ", ".join(family.needs) or None}
+        families.append({"family": name, **row, "installed": not missing, "install": install})
     return {"families": families, "defences": list_defences()}

@@ -1,7 +1,6 @@
 """From a detector spec, a line of text, to a frozen detector."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import torch
@@ -11,7 +10,7 @@ from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
-from cloak_core.detectors.naming import behind_defences, full_spec, refuse_typing_errors
+from cloak_core.detectors.naming import full_spec, refuse_typing_errors
 from cloak_core.detectors.specs import Request, check_size, parse_spec, with_person_class
 from cloak_core.files.errors import InputError, first_line
 
@@ -70,25 +69,6 @@ def load_detector(
     if request.confidence is not None:
         detector.operating_point, detector.operating_point_assumed = request.confidence, False
     return compile_detector(detector) if compiled else detector
-
-
-def runs_code(spec: str) -> bool:
-    """Tell whether loading a spec executes code that it names."""
-    family = FAMILIES.get(behind_defences(spec).family)
-    return family is not None and family.runs_code
-
-
-def check_recorded(spec: str, whose: str | Path) -> str:
-    """Return a spec that a record names. InputError: loading it would run code.
-
-    Every spec that the caller did not name goes through here: records come with other people's files, and code runs
-    only where the caller names it. `whose`: the record, for the message.
-    """
-    if runs_code(spec):
-        raise InputError(
-            f"{whose}: names the detector {spec}, which runs code; only code that you name is run: --detector {spec}"
-        )
-    return spec
 
 
 def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool, person_class: str | None) -> Request:

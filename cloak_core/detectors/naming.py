@@ -6,7 +6,7 @@ import logging
 from pathlib import Path
 
 from cloak_core.detectors.defended.table import DEFENCES, list_defences, split_defence
-from cloak_core.detectors.extras import COPYLEFT
+from cloak_core.detectors.extras import COPYLEFT, installed
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.specs import Request, parse_spec
 from cloak_core.files.errors import InputError, suggestion
@@ -53,7 +53,7 @@ def full_spec(spec: str) -> str:
     family = BY_SUFFIX.get(suffix)
     if family is None:
         raise InputError(_unknown(spec, parts[0], request.family, suffix))
-    if family in COPYLEFT and family not in _said:
+    if family in COPYLEFT and family not in _said and installed(family):
         _said.add(family)
         _log.warning("%s: read through the package %s, which is %s", parts[0], family, COPYLEFT[family])
     if family == "darknet" and len(parts) == 1:

@@ -19,6 +19,7 @@ from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.maite import MaiteModel, is_maite_model
 from cloak_core.detectors.python_module import PythonDetector
+from cloak_core.detectors.reachable import content_of
 from cloak_core.files.errors import InputError, first_line
 
 Given = Detector | nn.Module | Callable | str
@@ -39,7 +40,7 @@ def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
     caller's keep their mode and their gradients. InputError: none of these.
     """
     if isinstance(given, Detector):
-        return given if all(map(_is_plain, _tensors(given))) else _copied(given)
+        return _copied(given) if _is_foreign(given) else given
     if isinstance(given, str):
         return load_detector(given, device=device)
     if is_maite_model(given):
@@ -48,12 +49,14 @@ def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
     elif isinstance(given, nn.Module):
         module = _copied(given)
         made = _torchvision(module) if _is_torchvision(module) else _module(module, type(given), device)
+        given = module
     elif callable(given) and not isinstance(given, type):
         made = _module(OnPictures(given), given, device)
     else:
         raise InputError(
             f"detectors: {type(given).__name__} {str(given)[:40]!r} is no detector: give a module, a function, a spec"
         )
+    made.look_again = lambda: {"content": content_of(given)}
     return made.to(device)
 
 
@@ -112,9 +115,11 @@ def _tensors(module: nn.Module) -> Iterator[Tensor]:
     return itertools.chain(module.parameters(), module.buffers())
 
 
-def _is_plain(tensor: Tensor) -> bool:
-    """Tell whether a tensor takes part in gradients with images in float32."""
-    return not tensor.is_inference() and tensor.dtype != torch.float64
+def _is_foreign(module: nn.Module) -> bool:
+    """Tell whether images in float32 and their gradients do not go through a module: it was made in inference mode, or
+    where float64 is the default."""
+    of_numbers = any(parameter.dtype == torch.float64 for parameter in module.parameters())
+    return of_numbers or any(tensor.is_inference() for tensor in _tensors(module))
 
 
 def _torchvision(model: nn.Module) -> Detector:
@@ -140,7 +145,7 @@ def _copied(module: nn.Module) -> nn.Module:
         raise InputError(
             f"detectors: {name} cannot be copied ({first_line(error)}): wrap it in one that can"
         ) from error
-    for tensor in _tensors(made):
+    for tensor in _tensors(made) if _is_foreign(made) else ():
         if tensor.dtype == torch.float64:
             tensor.data = tensor.data.float()
     return made

@@ -16,7 +16,6 @@ from torch.overrides import TorchFunctionMode
 from cloak_core.core.detector.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.decoding import Decoded, corners, in_pixels
-from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import IMAGENET, Placement
 from cloak_core.detectors.specs import MAX_SIDE, Request, check_size
@@ -89,14 +88,14 @@ def load_transformers(request: Request) -> TransformersDetector:
     No remote code is run; batch norm is folded where that changes nothing, unless told not to.
     InputError when the package is missing, the files are, weights are incomplete, or no label is the person.
     """
-    require("transformers", request.spec)
     folder = Path(request.what).expanduser()
     where = str(folder) if folder.is_dir() else request.what
-    model = _read(where, request)
+    with nullcontext() if request.download else _offline():
+        model = _read(where, request)
+        preprocessing = _preprocessing(where, model.config.model_type, request)
     labels = model.config.id2label
     names = tuple(str(labels.get(index, "")) for index in range(model.config.num_labels))
     person = person_index(names, request.person, len(names), f"detector {request.spec!r}")
-    preprocessing = _preprocessing(where, model.config.model_type, request)
     model = _folded(model.eval(), preprocessing) if request.fold else model
     detector = TransformersDetector(model, preprocessing, person, folder.name, request.spec)
     detector.class_names = names
@@ -127,6 +126,18 @@ def _read(where: str, request: Request) -> nn.Module:
     if broken:
         raise InputError(f"detector {request.spec!r}: {broken[0]} holds numbers that are not finite")
     return model
+
+
+@contextmanager
+def _offline() -> Iterator[None]:
+    """Keep the library from the network inside; `local_files_only` alone does not stop all of its look-ups."""
+    from huggingface_hub import constants
+
+    before, constants.HF_HUB_OFFLINE = constants.HF_HUB_OFFLINE, True
+    try:
+        yield
+    finally:
+        constants.HF_HUB_OFFLINE = before
 
 
 @contextmanager

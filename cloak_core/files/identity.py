@@ -18,6 +18,8 @@ import numpy as np
 
 TRAINING = ("exchange", "core", "sources", "detectors", "techniques", "studies/trainings")
 """The rooms whose code decides the colours of a training."""
+UNKNOWN = "unknown"
+"""How an identity begins that nothing else has, as what it is of cannot be known."""
 _PROJECT = Path(__file__).parents[1]
 
 

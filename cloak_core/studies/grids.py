@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cloak_core.core.settings import TrainSettings, merge, settings_from_record
-from cloak_core.detectors.loading import check_recorded
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_toml
+from cloak_core.files.specs import require_named
 
 MOST_RUNS = 200_000
 INPUTS = ("scene", "logo", "detector", "backgrounds")
@@ -51,7 +51,7 @@ def read_grid(
     [base] and [grid] take the settings of `cloak train` by name, and scene, logo, detector, backgrounds, as on the
     command line. In [grid] each name has a list of values; an entry of `detector` may itself be a list, of detectors
     to be trained against at once. `changes` replace what [base] says; of its detectors only those `named` here may run
-    code. InputError names the file and the key.
+    code or ask the network. InputError names the file and the key.
     """
     path = Path(path)
     record = read_toml(path)
@@ -76,8 +76,7 @@ def read_grid(
         raise InputError(f"{path}: {count} runs, more than {MOST_RUNS}")
     combinations = (dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values()))
     runs = [_run(base, varied, path) for varied in combinations]
-    for spec in {spec for run in runs for spec in run.detectors} - set(named):
-        check_recorded(spec, path)
+    require_named((spec for run in runs for spec in run.detectors), path, named)
     return runs
 
 

@@ -15,12 +15,19 @@ from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.events import read_events
 from cloak_core.core.run_config import read_config
 from cloak_core.detectors.families import FAMILIES
-from cloak_core.detectors.loading import check_recorded
 from cloak_core.detectors.naming import BY_SUFFIX, behind_defences, missing_file
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
+from cloak_core.files.likeness import (
+    parts_are_told,
+    pose_shape,
+    pose_spread,
+    same_spreads,
+    similar_looks,
+    similar_poses,
+)
 from cloak_core.files.reading import is_number, read_json
+from cloak_core.files.specs import require_named
 from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, Picture
 from cloak_core.sources.bodies.selection import split_selection
@@ -55,9 +62,10 @@ def read_run(folder: Path) -> dict:
 def trained_specs(folder: Path, config: dict) -> list[str]:
     """List the detectors that a run was trained against.
 
-    InputError: one runs code, or its file is not here; the caller has to name it.
+    InputError: one runs code, asks the network, or its file is not here; the caller has to name it.
     """
-    specs = [check_recorded(record["spec"], folder) for record in config["detectors"]]
+    specs = [record["spec"] for record in config["detectors"]]
+    require_named(specs, folder)
     for spec in specs:
         if behind_defences(spec).family not in FAMILIES:
             raise InputError(f"{folder}: trained against {spec}, an object of a program: give it again (detectors=...)")
@@ -145,7 +153,7 @@ def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgroun
     """
     if not config:
         return {"bodies": None, "backgrounds": None}, []
-    unseen_bodies, warnings = _unseen_bodies(_part(config, "scene"), bodies)
+    unseen_bodies, warnings = _unseen_bodies(_part(config, "scene"), bodies, config.get("topology"))
     shown = dict(zip(backgrounds.names, backgrounds.pictures, strict=True))
     trained = _part(config, "backgrounds")
     unseen_backgrounds, more = _unseen_pictures("backgrounds", trained, "identities", "names", shown)
@@ -167,7 +175,7 @@ def photographs_seen_in_training(config: dict | None, people: Iterable[Person]) 
     return {"photographs": unseen}, warnings
 
 
-def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]:
+def _unseen_bodies(scene: dict, bodies: Bodies, topology: object) -> tuple[bool | None, list[str]]:
     trained = scene.get("pose_sha256")
     if not isinstance(trained, list):
         return None, ["the run does not record its training bodies: whether these are unseen is not known"]
@@ -179,7 +187,18 @@ def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]
     moved = {j: i for i, j in pairs if j not in seen}
     names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in moved.items()]
     warnings += _overlap("bodies are trained ones, moved, scaled or changed by millimetres", names)
-    return not (seen or moved), warnings
+    spreads = [pose_spread(vertices) for vertices in bodies.vertices]
+    pairs = same_spreads([_numbers(spread, len(spreads[0])) for spread in _list(scene, "pose_spreads")], spreads)
+    mixed = {j: i for i, j in pairs if j not in seen and j not in moved}
+    names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in mixed.items()]
+    warnings += _overlap("bodies are trained ones, their vertices in another order", names)
+    if seen or moved or mixed:
+        return False, warnings
+    # Without polygons the topology is what a file calls it, and says nothing of the vertices' order.
+    told = bodies.loop_total is not None or len(_list(scene, "pose_spreads")) == len(trained)
+    if told and bodies.topology == topology:
+        return True, warnings
+    return None, [*warnings, "bodies may have their vertices in another order: whether these are unseen is not known"]
 
 
 def _unseen_pictures(
@@ -193,9 +212,13 @@ def _unseen_pictures(
     seen = {name for name, picture in shown.items() if known & {picture.pixels, picture.file}}
     warnings = _overlap(f"{what} were in the training set", [name for name in shown if name in seen])
     others = [name for name in shown if name not in seen]
-    pairs = similar_looks([str(look) for look in _list(trained, "looks")], [shown[name].look for name in others])
+    looks = [str(look) for look in _list(trained, "looks")], [shown[name].look for name in others]
+    pairs = similar_looks(*looks)
     alike = [f"{others[j]} like {_name(trained, names, i)}" for j, i in {j: i for i, j in pairs}.items()]
     warnings += _overlap(f"{what} look like trained ones", alike, "may not be unseen")
+    if not (seen or alike) and not parts_are_told(*looks):
+        alike = [f"whether {what} are parts of trained ones is not known: no copies are recorded, or too many"]
+        warnings += alike
     return False if seen else None if alike else True, warnings
 
 
@@ -216,10 +239,14 @@ def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> d
     found: dict[str, bool | None] = {}
     for spec, detector in detectors.items():
         ours = detector_record(detector)
-        same = [entry for entry in trained if entry.get("sha256") == ours["sha256"]]
-        if not detector.state_dict():
-            same = [entry for entry in same if _code(entry.get("source", ours["source"])) == _code(ours["source"])]
-        found[spec] = bool(same)
+        sources = [entry.get("source", ours["source"]) for entry in trained if entry.get("sha256") == ours["sha256"]]
+        if detector.state_dict() or _code(ours["source"]) in map(_code, sources):
+            found[spec] = bool(sources)
+        else:
+            # The same code with other values, or with values that nobody knows, may be the same detector.
+            own = ours["source"].get("code")
+            alike = [source for source in sources if own and isinstance(source, dict) and source.get("code") == own]
+            found[spec] = None if alike else False
     return found
 
 

@@ -11,10 +11,10 @@ from cloak_core.core.evaluate import headline
 from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.logo import make_logo
-from cloak_core.detectors.loading import check_recorded, load_detector
+from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.specs import without_folders
+from cloak_core.files.specs import require_named, without_folders
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
@@ -104,7 +104,8 @@ def _detector(spec: str, files: Files, whose: str, device: str) -> Detector:
     named = next((ours for ours in files.detectors if without_folders(ours) == spec), None)
     if named is not None:
         return load_detector(named, device=device)
-    return load_detector(_placed(check_recorded(spec, whose), files, whose), device=device)
+    require_named([spec], whose)
+    return load_detector(_placed(spec, files, whose), device=device)
 
 
 def _placed(spec: str, files: Files, whose: str) -> str:

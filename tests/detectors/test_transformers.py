@@ -8,7 +8,6 @@ import torch
 
 from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.detector.scoring import max_person_score
-from cloak_core.detectors import extras
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, others_are_the_rest
@@ -154,10 +153,3 @@ def test_incomplete_weights_and_missing_person(tmp_path: Path) -> None:
     model.save_pretrained(tmp_path, state_dict=state)
     with pytest.raises(InputError, match=r"lack 1 of the model's tensors \(class_labels"):
         load_detector(f"transformers:{tmp_path}")
-
-
-def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(extras, "installed", lambda package: False)
-    for spec, extra in (("transformers:x", "transformers"), ("onnx:x.onnx", "onnx")):
-        with pytest.raises(InputError, match=rf"needs the package .*: pip install 'cloak-core\[{extra}\]'"):
-            load_detector(spec)

@@ -107,6 +107,21 @@ def test_the_page_needs_nothing_but_itself(made: tuple[Path, dict, list]) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("part", "front"), [("x", "{}/secret"), ("x", "../../../secret"), ("..", "../secret"), ("{}", "secret")]
+)
+def test_pictures_of_a_card_lie_in_its_folder(
+    made: tuple[Path, dict, list], tmp_path: Path, part: str, front: str
+) -> None:
+    folder = shutil.copytree(made[0] / "glow", tmp_path / "card")
+    (tmp_path / "secret").write_text("mine")
+    cloak = {"part": part.format(tmp_path), "front": front.format(tmp_path)}
+    (folder / "pictures.json").write_text(json.dumps({"cloaks": [cloak]}))
+    with pytest.raises(InputError, match="no such file"):
+        write_card(folder)
+
+
+@pytest.mark.slow
 def test_several_are_compared_on_one_page_and_in_a_leaderboard(made: tuple[Path, dict, list], tmp_path: Path) -> None:
     shutil.copytree(made[0], tmp_path / "cards")
     out = tmp_path / "cards"

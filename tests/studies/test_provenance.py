@@ -72,6 +72,42 @@ def test_bodies_moved_as_a_whole_are_not_unseen(shift: float) -> None:
     assert found["bodies"] is True
 
 
+def mixed(bodies: Bodies, **changes: object) -> Bodies:
+    """The same bodies, their vertices in another order."""
+    order = np.random.default_rng(0).permutation(bodies.vertex_count)
+    places = np.argsort(order).astype(np.int32)
+    loops = {} if bodies.loop_vertices is None else {"loop_vertices": places[bodies.loop_vertices]}
+    return replace(bodies, vertices=bodies.vertices[:, order], triangles=places[bodies.triangles], **loops | changes)
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_bodies_with_their_vertices_in_another_order_are_not_unseen(kept: bool) -> None:
+    bodies, backgrounds = box_bodies(), noise_backgrounds()
+    config = recorded(bodies, backgrounds)
+    if not kept:  # as before 2.1
+        del config["scene"]["pose_spreads"]
+    for known in ({}, {"loop_total": None, "loop_vertices": None, "recorded_topology": bodies.topology}):
+        found, (warning, *_) = seen_in_training(config, mixed(bodies, **known), backgrounds)
+        assert found["bodies"] is (False if kept else None) and "vertices in another order" in warning
+    grown = replace(bodies, vertices=bodies.vertices * np.float32([1.2, 1, 1]))
+    assert seen_in_training(config, grown, backgrounds)[0]["bodies"] is True
+    assert seen_in_training(config, mixed(grown), backgrounds)[0]["bodies"] is None
+
+
+def test_parts_of_pictures_that_nobody_looked_for_are_not_called_unseen(tmp_path: Path, monkeypatch) -> None:
+    photos = [Image.fromarray(draw_scene(np.random.default_rng(seed), 120, 160)) for seed in range(2)]
+    config = recorded(box_bodies(), save(tmp_path / "trained", "original.png", photos[0]))
+    part, other = (save(tmp_path / str(k), "a.png", photos[k].crop((0, 0, 120, 90))) for k in range(2))
+    unseen = lambda shown: seen_in_training(config, box_bodies(), shown)[0]["backgrounds"]
+    assert (unseen(part), unseen(other)) == (None, True)
+    with monkeypatch.context() as patch:
+        patch.setattr("cloak_core.files.likeness.MOST_PAIRS", 0)
+        assert (unseen(part), unseen(other)) == (None, None)
+    config["backgrounds"]["looks"] = [look.partition(".")[0] for look in config["backgrounds"]["looks"]]
+    assert (unseen(part), unseen(other)) == (None, None)
+    assert "parts of trained ones is not known" in seen_in_training(config, box_bodies(), other)[1][-1]
+
+
 def test_records_that_anyone_may_have_written_tell_what_they_can() -> None:
     bodies, backgrounds = box_bodies(), noise_backgrounds()
     strange = {
@@ -79,8 +115,8 @@ def test_records_that_anyone_may_have_written_tell_what_they_can() -> None:
         "backgrounds": {"identities": [None], "looks": [3, "zz", None], "names": {}},
         "detectors": [{"sha256": []}],
     }
-    found, warnings = seen_in_training(strange, bodies, backgrounds)
-    assert found == {"bodies": True, "backgrounds": True} and not warnings
+    found, (warning,) = seen_in_training(strange, bodies, backgrounds)
+    assert found == {"bodies": None, "backgrounds": True} and "another order" in warning
     assert seen_in_training({"scene": []}, bodies, backgrounds)[0] == {"bodies": None, "backgrounds": None}
     assert seen_in_training(None, bodies, backgrounds) == ({"bodies": None, "backgrounds": None}, [])
 

@@ -1,14 +1,16 @@
 """Records of others name detectors: whatever would run code is refused unless the caller names it."""
 
 import json
+import socket
 from pathlib import Path
 
 import pytest
 
 from cloak_core import library
 from cloak_core.cli import main
-from cloak_core.detectors.loading import check_recorded
+from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
+from cloak_core.files.specs import reach
 from cloak_core.studies.grids import read_grid
 from cloak_core.studies.zoo_reproduction import Files, evaluate_again
 from cloak_core.zoo.entry import Entry, entry
@@ -76,7 +78,7 @@ def test_nor_does_the_library(evil, tmp_path: Path) -> None:
         lambda: library.film(run, tmp_path / "film"),
         lambda: library.evaluate(run, people=tmp_path / "people.json"),
     ):
-        with pytest.raises(InputError, match="only code that you name is run"):
+        with pytest.raises(InputError, match="which runs code: only where you name it"):
             asked()
     assert not (run / "ran").exists()
 
@@ -94,9 +96,7 @@ def test_zoo_entries_and_grids_run_code_only_where_it_is_named(evil, tmp_path: P
     judged = {"python:evil.py:make": next(iter(shipped.record["evaluation"]["detectors"].values()))}
     record = shipped.record | {"evaluation": shipped.record["evaluation"] | {"detectors": judged}}
     foreign = Entry(record, shipped.config, shipped.colors, shipped.ids)
-    with pytest.raises(
-        InputError, match=r"zoo:builtin-sample: names the detector python:evil\.py:make, which runs code"
-    ):
+    with pytest.raises(InputError, match=r"zoo:builtin-sample: names python:evil\.py:make, which runs code"):
         evaluate_again(foreign, Files(run), 2, "cpu", None)
     assert not (run / "ran").exists()
 
@@ -104,7 +104,7 @@ def test_zoo_entries_and_grids_run_code_only_where_it_is_named(evil, tmp_path: P
     grid.write_text(
         f"[base]\nscene = 'sample'\nlogo = 'chest'\n[grid]\nseed = [0, 1]\ndetector = ['builtin', ['jpeg=75:{spec}']]\n"
     )
-    with pytest.raises(InputError, match=r"grid\.toml: names the detector jpeg=75:python:"):
+    with pytest.raises(InputError, match=r"grid\.toml: names jpeg=75:python:"):
         read_grid(grid)
     assert len(read_grid(grid, named=[f"jpeg=75:{spec}"])) == 4
 
@@ -114,6 +114,31 @@ def test_a_run_whose_detector_is_not_here_says_how_to_name_it() -> None:
         library.evaluate("zoo:yolov8n-anny", "sample:unseen[0:1]", "procedural:test:1")
 
 
-def test_specs_that_run_nothing_pass() -> None:
-    for spec in ("builtin", "jpeg=75:builtin@224", "onnx:a.onnx", "darknet:a.cfg:b.weights", "ultralytics:a.pt"):
-        assert check_recorded(spec, "x") == spec
+@pytest.mark.parametrize(
+    ("spec", "does"),
+    [
+        *((spec, "") for spec in ("builtin", "jpeg=75:builtin@224", "onnx:a.onnx", "darknet:a.cfg:b.weights")),
+        *((spec, "") for spec in ("ultralytics:python.pt", "transformers:{here}", "blur=1:transformers:{here}@640")),
+        *((spec, "runs code") for spec in ("python:C:\\a.py:load", "segment:blur=1:python:a.py:f@conf=0.5")),
+        *((spec, "asks the network") for spec in ("transformers:some/model", "jpeg=75:transformers:{here}/none@640")),
+        *((spec, "asks the network") for spec in ("onnx:\\\\host\\share\\a.onnx", "darknet:a.cfg://host/b.weights")),
+    ],
+)
+def test_what_a_spec_does_beyond_reading_files(spec: str, does: str, tmp_path: Path) -> None:
+    assert reach(spec.format(here=tmp_path)) == does
+
+
+def test_a_model_s_name_in_a_run_asks_nobody(evil, monkeypatch) -> None:
+    """Nor does a name of the user's, before --download."""
+    asked: list = []
+    refuse = lambda *words, **options: asked.append(words) or (_ for _ in ()).throw(OSError("no network"))
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+    run, _ = evil
+    config = json.loads((run / "config.json").read_text())
+    config["detectors"][0]["spec"] = "transformers:some/model"
+    (run / "config.json").write_text(json.dumps(config))
+    with pytest.raises(InputError, match="which asks the network: only where you name it"):
+        library.evaluate(run)
+    with pytest.raises(InputError, match="not in the local cache"):
+        load_detector("transformers:some/model")
+    assert not asked

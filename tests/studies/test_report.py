@@ -7,13 +7,14 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
 from cloak_core.studies.report import plots
-from cloak_core.studies.report.page import _environment
+from cloak_core.studies.report.page import _environment, page_style
 from cloak_core.studies.report.words import duration, instead, interval, most_named, percent, short_name
 from cloak_core.studies.trained_run import History
 from tests.sources.photographs.test_coco_reader import with_value
@@ -276,3 +277,15 @@ def test_a_headline_says_what_stands_there_instead(rates: dict, said: str, names
     assert (instead(rates), most_named(rates)) == (said, names)
     if "renamed_own" in rates:
         assert instead(rates, own=True) == "; in 50 % something else is reported there"
+
+
+def test_a_curve_of_many_points_is_drawn_by_its_extremes_and_its_running_mean() -> None:
+    value = np.zeros(100_000)
+    value[54_321] = 9.0
+    with page_style():
+        figure = plots.training_curves(
+            History(losses={"loss": list(zip(np.arange(1e5).tolist(), value.tolist(), strict=True))})
+        )
+    extremes, mean = figure.axes[0].lines
+    assert len(extremes.get_xdata()) <= 2 * plots.MOST_POINTS and extremes.get_ydata().max() == 9.0
+    assert mean.get_ydata().max() == pytest.approx(9 / 2000) and len(mean.get_xdata()) <= plots.MOST_POINTS

@@ -36,7 +36,9 @@ def clay() -> bpy.types.Object:
 def state() -> object:
     """What a stroke changes of the clay."""
     if clay().mode == "TEXTURE_PAINT":
-        return float(np.array(bpy.data.images["Canvas"].pixels).sum())
+        values = np.empty(4 * 256 * 256, np.float32)
+        bpy.data.images["Canvas"].pixels.foreach_get(values)
+        return float(values.sum())
     if clay().mode == "VERTEX_PAINT":
         values = np.empty(4 * len(clay().data.color_attributes[0].data), np.float32)
         clay().data.color_attributes[0].data.foreach_get("color", values)
@@ -59,14 +61,12 @@ def make_scene() -> None:
     write_colors(RUN / "colors.npy", np.tile(np.float32([1, 0, 0]), (3, 1)))
     other = make_fine_egg(20_000, "Clay")
     other.location.x, egg.location.x = 0, 2
-    other.data.uv_layers.new(name="UVMap")
+    corners = np.array([other.data.vertices[loop.vertex_index].co for loop in other.data.loops])
+    layer = other.data.uv_layers.new(name="UVMap", do_init=False)
+    layer.uv.foreach_set("vector", (corners[:, [0, 2]] / 1.8 + [0.5, 0]).astype(np.float32).ravel())
     other.data.color_attributes.new("Painted", "BYTE_COLOR", "CORNER")
-    canvas = bpy.data.images.new("Canvas", 256, 256)
-    material = bpy.data.materials.new("Painted")
-    material.use_nodes = True
-    texture = material.node_tree.nodes.new("ShaderNodeTexImage")
-    texture.image = canvas
-    other.data.materials.append(material)
+    painting = bpy.context.scene.tool_settings.image_paint
+    painting.mode, painting.canvas = "IMAGE", bpy.data.images.new("Canvas", 256, 256)
     egg.select_set(False)
     with override():
         bpy.ops.view3d.view_axis(type="FRONT")

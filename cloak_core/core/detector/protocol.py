@@ -1,7 +1,7 @@
 """The one call every detector answers, and what tells one detector from another."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import torch
@@ -62,6 +62,8 @@ class Detector(nn.Module):
     source: dict[str, object]
     """What decides its answers beside its tensors, as plain values: hashes of the files that run it, its input size and
     options. Families fill it."""
+    look_again: Callable[[], dict[str, object]] = dict
+    """Tells what of `source` may change while it is in memory, as attributes of a program's own object do."""
     packages: tuple[str, ...]
     """The packages that run it, beside torch."""
     class_names: tuple[str, ...] | None = None
@@ -123,6 +125,10 @@ class Detector(nn.Module):
         """Load the same network in the runtime that its file was made for, to compare with; None for none."""
         return None
 
+    def whole_source(self) -> dict[str, object]:
+        """Give `source`, and what `look_again` tells now; the spec for one that no family loaded."""
+        return (self.source or {"spec": self.spec}) | self.look_again()
+
     @property
     def device(self) -> torch.device:
         """Where the images must be."""
@@ -160,7 +166,7 @@ def detector_record(detector: Detector) -> dict[str, object]:
         "sha256": state_hash(detector),
         "precision": detector.precision,
         "compiled": detector.compiled,
-        "source": detector.source or {"spec": detector.spec},
+        "source": detector.whole_source(),
         "packages": package_versions(*detector.packages),
     }
 

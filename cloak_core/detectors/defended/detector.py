@@ -24,11 +24,15 @@ class DefendedDetector(Detector):
         self.partial_gradient = "; ".join(part for part in why if part)
         self.operating_point = inner.operating_point
         self.operating_point_assumed = inner.operating_point_assumed
-        self.source = {"defence": name, "value": value, "inner": inner.source or {"spec": inner.spec}}
+        self.source = {"defence": name, "value": value}
         self.source |= {key: inner.source[key] for key in ("input_size", "layout") if key in inner.source}
         self.packages, self.class_names = inner.packages, inner.class_names
         if hasattr(inner, "person"):
             self.person = inner.person
+
+    def look_again(self) -> dict[str, object]:
+        """See `Detector.look_again`."""
+        return {"inner": self.inner.whole_source()}
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         return self.defence.detect(self.inner, images)

@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index
 from cloak_core.detectors.decoding import Decoded
-from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.channels import order_channels
 from cloak_core.detectors.onnx_family.end_to_end import before_choice
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier, what_it_may_be
@@ -104,8 +103,6 @@ def load_onnx(request: Request) -> OnnxDetector:
     metadata, else class names as for Darknet. InputError names what is missing or ambiguous; with `fold` False also why
     the file cannot be converted.
     """
-    for package in PACKAGES:
-        require(package, request.spec)
     name, named = (*request.parts, "")[:2]
     if named and request.layout:
         raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")

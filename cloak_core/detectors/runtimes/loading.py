@@ -10,7 +10,6 @@ from torch import Tensor
 
 from cloak_core.detectors.classes import COCO_IDS, names_beside, read_description
 from cloak_core.detectors.decoding import Decoded, in_pixels
-from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.detector import OnnxDetector, chosen_person
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier
 from cloak_core.detectors.onnx_family.layouts import Decode, Layout, Size
@@ -41,7 +40,6 @@ def _load(request: Request, package: str, read: Callable[[Path, tuple[int, int] 
 
     Else as the layout usually has them. InputError names what is missing or ambiguous.
     """
-    require(package, request.spec)
     name, named = (*request.parts, "")[:2]
     path = Path(name).expanduser()
     model, said = read(path, request.input_size), read_description(path)

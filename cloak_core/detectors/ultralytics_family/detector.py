@@ -14,7 +14,6 @@ from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.checkpoints import load_state
 from cloak_core.detectors.classes import COCO, person_index
 from cloak_core.detectors.decoding import Decoded
-from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request, check_size
@@ -67,7 +66,6 @@ def load_ultralytics(request: Request) -> UltralyticsDetector:
     Nothing is fetched and no code of a file is run. Batch norm is folded unless told not to. InputError: a file that is
     none of these or wants to run code, a missing package, a network that does not detect, an impossible input size.
     """
-    require(PACKAGE, request.spec)
     where = request.what
     if Path(where).suffix.lower() not in SUFFIXES:
         raise InputError(f"detector {request.spec!r}: expected a checkpoint (.pt) or a description (.yaml)")

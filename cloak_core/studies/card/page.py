@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -123,7 +124,8 @@ def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
         "missed": [dict(told, shot=shot("clean", told["clothing"])) for told in pictures.get("missed", [])],
         "alarms": [dict(told, shot=shot("clean", told["bare"])) for told in pictures.get("alarms", [])],
         "cloaks": [
-            told | {side: page.data_uri(place / told[side]) for side in SIDES if side in told} for told, place in cloaks
+            told | {side: page.data_uri(place / Path(told[side]).name) for side in SIDES if side in told}
+            for told, place in cloaks
         ],
     }
 
@@ -190,5 +192,5 @@ def hidden_trials(rows: pd.DataFrame, own: float) -> list[int]:
 
 
 def place_of(part: str) -> str:
-    """Name the folder of a part's pictures."""
-    return part.replace(" ", "-").replace("%", "")
+    """Name the folder of a part's pictures, one level below the card's own whatever the part is called."""
+    return re.sub(r"[/\\ ]", "-", part).replace("%", "").lstrip(".")

@@ -15,7 +15,7 @@ from cloak_core.core.technique import NO_TECHNIQUES
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
-from cloak_core.files.likeness import pose_shape
+from cloak_core.files.likeness import pose_shape, pose_spread
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import Fits, people_identity
 from cloak_core.sources.photographs.fitting import Fit
@@ -80,6 +80,7 @@ def _scene(bodies: Bodies) -> dict:
         "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors, *bodies.textures.values()),
         "pose_sha256": list(bodies.pose_hashes),
         "pose_shapes": [pose_shape(vertices) for vertices in bodies.vertices],
+        "pose_spreads": [pose_spread(vertices) for vertices in bodies.vertices],
     }
 
 

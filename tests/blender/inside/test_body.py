@@ -213,6 +213,8 @@ def test_the_sample_body_does_not_stand_in_the_cube_of_a_new_file(stub):
 
 
 def test_add_sample_body(stub):
+    bpy.context.scene.frame_start, bpy.context.scene.frame_end = 3, 500
+    bpy.context.scene.frame_set(7)
     bpy.ops.cloak.add_sample_body()
     job = run_job()
     assert job.state == "done", job.message
@@ -221,6 +223,8 @@ def test_add_sample_body(stub):
     assert [k.name for k in obj.data.shape_keys.key_blocks] == ["Ann", "Bob"]
     settings = bpy.context.scene.cloak
     assert (settings.pose_source, settings.frame_start, settings.frame_end) == ("RANGE", 1, 2)
+    scene = bpy.context.scene
+    assert (scene.frame_start, scene.frame_end, scene.frame_current) == (3, 500, 7), "the animation stays the user's"
     bpy.context.scene.frame_set(2)
     posed = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     assert max((obj.matrix_world @ v.co).z for v in posed.data.vertices) == pytest.approx(2.2, abs=1e-5)

@@ -147,13 +147,28 @@ def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch, trai
     assert done.returncode == 0 and (tmp_path / "cloaked.blend").exists(), done.stderr
 
 
+def test_resume_runs_code_of_the_folder_only_where_it_is_named(tmp_path, stub, monkeypatch, train_here):
+    words = ["--blend", save_body(tmp_path, [4]), "--logo", "chest", "--out", "RUN", "--steps", "3"]
+    monkeypatch.setenv("CLOAK_STUB", "crash")
+    assert train_here(tmp_path, *words, python=stub).returncode == 1
+    (tmp_path / "RUN").mkdir(exist_ok=True)
+    path, evil = tmp_path / "RUN.input" / "command.json", f"python:{tmp_path / 'evil.py'}:load"
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps(record | {"options": ["--detector=python:{project}/evil.py:load"], "project": ".."}))
+    monkeypatch.setenv("CLOAK_STUB", "")
+    (line,) = refused(train_here(tmp_path, *words, "--resume", python=stub))
+    assert f"{evil} runs code, and waits for your yes" in line
+    done = train_here(tmp_path, *words, "--resume", "--detector", evil, python=stub)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub, train_here):
     done = train_here(
         tmp_path, "--sample", "--logo", "chest", "--out", "A", "--steps", 2, "--frames", "1:2:1", python=stub
     )
     assert done.returncode == 0 and "exported 2 poses, 4 faces" in done.stdout, done.stderr
     remembered = json.loads((tmp_path / "A.input" / "command.json").read_text())["options"]
-    assert remembered[-2:] == ["--made-from", "sample:train"]
+    assert remembered[-1] == "--made-from=sample:train"
     save_body(tmp_path, [4, 5, 6])
     obj = bpy.data.objects["Body"]
     faces.new_logo(obj, "back", np.isin(np.arange(len(obj.data.polygons)), [9]))

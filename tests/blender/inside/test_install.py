@@ -98,7 +98,7 @@ def test_no_operator_runs_without_a_body(stub):
 def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, monkeypatch):
     """The reason is the panel's own, and is asked for before anything runs."""
     always = {"detector_add", "detector_add_named", "show_made", "add_sample_body", "copy_install_line"}
-    always |= {"ready_cloak", "try_it", "set_angles", "explain", "test_trainer", "use_standard_view"}
+    always |= {"allow", "ready_cloak", "try_it", "set_angles", "explain", "test_trainer", "use_standard_view"}
     offered = {name for name in dir(bpy.ops.cloak) if getattr(bpy.ops.cloak, name).poll()}
     no_run = {"result_", "render_", "open_", "run_", "train_resume", "train_extend", "train_cancel", "logo_from_heat"}
     no_run |= {"export_glb", "evaluate", "print_sheets", "turntable", "film", "heatmap_toggle"}
@@ -122,3 +122,16 @@ def test_a_figures_tooltip_says_what_it_means():
     from cloak.result.operators import CLOAK_OT_explain
 
     assert CLOAK_OT_explain.description(bpy.context, types.SimpleNamespace(tip="Share of images")) == "Share of images"
+
+
+def test_buttons_of_one_operator_have_tooltips_of_their_own():
+    for name, values in (
+        ("add_sample_body", {"people": ["BARE", "CLOTHED"]}),
+        ("stamp_drag", {"kind": ["SETTINGS", "LETTER", "SMILEY"]}),
+        ("logo_stamp", {"add": [False, True]}),
+    ):
+        cls = next(c for c in cloak.CLASSES if c.__name__ == f"CLOAK_OT_{name}")
+        rna = getattr(bpy.ops.cloak, name).get_rna_type()
+        ((key, choices),) = values.items()
+        told = [cls.description(bpy.context, types.SimpleNamespace(bl_rna=rna, **{key: choice})) for choice in choices]
+        assert len(set(told)) == len(choices), told

@@ -250,6 +250,15 @@ def test_closing_blender_lets_a_found_training_go_on(orphan):
     assert is_alive(orphan) and not (run / "cancel").exists()
 
 
+def test_a_found_training_that_dies_has_no_invented_exit_code(orphan):
+    choose("Body Brust_Ärmel")
+    bpy.ops.cloak.run_attach()
+    wait_for(lambda: session.job.progress.step >= 2)
+    os.kill(orphan, signal.SIGKILL)
+    job = run_job()
+    assert job.state == "failed" and "ended without a word after step" in job.message and "code" not in job.message
+
+
 # --- runs of the command line, and what is no run ---------------------------------------------------------------------
 
 

@@ -1,0 +1,265 @@
+"""Python detectors that differ in one place are different; made again, or in another process, each is itself."""
+
+import dataclasses
+import enum
+import functools
+import logging
+import subprocess
+import sys
+import threading
+import types
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.core.detector.protocol import detector_record
+from cloak_core.core.evaluate import content_hash
+from cloak_core.detectors.maite import is_maite_model
+from cloak_core.detectors.objects import as_detector
+from cloak_core.studies.trained_run import trained_against
+
+
+def answer(picture: np.ndarray, score: float = 0.5) -> list:
+    return [[0.0, 0.0, 9.0, 9.0, float(score)]]
+
+
+LEVEL = 0.5
+
+
+def reads_a_global(picture: np.ndarray) -> list:
+    return answer(picture, LEVEL)
+
+
+def with_global(level: object) -> Callable:
+    return types.FunctionType(reads_a_global.__code__, {**globals(), "LEVEL": level})
+
+
+def closing_over(value: object) -> Callable:
+    return lambda picture: answer(picture, np.sum(value() if callable(value) else value))
+
+
+def with_default(value: object) -> Callable:
+    def detect(picture: np.ndarray, level: object = value) -> list:
+        return answer(picture, level)
+
+    return detect
+
+
+def with_named_default(value: object) -> Callable:
+    def detect(picture: np.ndarray, *, level: object = value) -> list:
+        return answer(picture, level)
+
+    return detect
+
+
+def with_function_attribute(value: object) -> Callable:
+    made = closing_over(1)
+    made.level = value
+    return made
+
+
+class Called:
+    def __init__(self, value: object) -> None:
+        self.value = value
+
+    def __call__(self, picture: np.ndarray) -> list:
+        return answer(picture)
+
+    def method(self, picture: np.ndarray) -> list:
+        return answer(picture)
+
+
+class Slotted:
+    __slots__ = ("value",)
+
+    def __init__(self, value: object) -> None:
+        self.value = value
+
+    def __call__(self, picture: np.ndarray) -> list:
+        return answer(picture)
+
+
+class Silent(Called):
+    """What it would be pickled as does not tell what it is."""
+
+    def __reduce_ex__(self, protocol: int) -> tuple:
+        return Silent, (0,)
+
+
+class Model(Called):
+    metadata: ClassVar = {"id": "mine", "index2label": {0: "person"}}
+
+
+class Listed(list):
+    def __call__(self, picture: np.ndarray) -> list:
+        return answer(picture)
+
+
+@dataclasses.dataclass
+class Record:
+    value: object
+
+
+class Kind(enum.Enum):
+    FEW, MANY = 1, 2
+
+
+class Net(torch.nn.Module):
+    def __init__(self, **values: object) -> None:
+        super().__init__()
+        self.scale = torch.nn.Parameter(torch.ones(1))
+        vars(self).update(values)
+
+    def forward(self, images: torch.Tensor) -> tuple:
+        return images.new_zeros(len(images), 1, 4), self.scale.expand(len(images), 1)
+
+
+def net_with_buffer(value: float) -> Net:
+    net = Net()
+    net.register_buffer("level", torch.tensor(value), persistent=False)
+    return net
+
+
+def class_with(value: object) -> object:
+    return type("Made", (Called,), {"level": value})(0)
+
+
+def inherits_from(value: object) -> object:
+    return type("Made", (type("Base", (Called,), {"level": value}),), {})(0)
+
+
+def cyclic(value: object) -> Called:
+    made = Called([value])
+    made.value.append(made)
+    return made
+
+
+def module_with(value: object) -> types.ModuleType:
+    made = types.ModuleType("helpers")
+    made.level = value
+    return made
+
+
+def asks_a_module(value: object) -> Callable:
+    return types.FunctionType((lambda picture: helpers.level).__code__, {"helpers": module_with(value)})  # noqa: F821
+
+
+ARRAY = np.arange(6, dtype=np.float32)
+PAIRS = {
+    "closure": (closing_over, 0.2, 0.3),
+    "sign of zero": (closing_over, 0.0, -0.0),
+    "whole or not": (closing_over, 1, 1.0),
+    "closure of a closure": (lambda v: closing_over(closing_over(v)), 1, 2),
+    "closed over text": (closing_over, "a", "b"),
+    "closed over bytes": (closing_over, b"a", b"b"),
+    "closed over array": (closing_over, ARRAY, ARRAY + np.float32(1e-6)),
+    "shape of an array": (closing_over, ARRAY, ARRAY.reshape(2, 3)),
+    "type of an array": (closing_over, ARRAY.astype(np.int32), ARRAY.astype(np.uint32)),
+    "array of objects": (closing_over, np.array([1, None]), np.array([2, None])),
+    "masked array": (closing_over, np.ma.array([1, 2], mask=[0, 1]), np.ma.array([1, 2], mask=[1, 0])),
+    "number of numpy's": (closing_over, np.float32(1), np.float64(1)),
+    "tensor": (closing_over, torch.ones(3), torch.ones(3) * 2),
+    "half tensor": (closing_over, torch.ones(3).bfloat16(), torch.zeros(3).bfloat16()),
+    "tensor in a list": (closing_over, [torch.ones(1)], [torch.zeros(1)]),
+    "order of a list": (closing_over, [1, 2], [2, 1]),
+    "nested tuple": (closing_over, (1, (2, 3)), (1, (2, 4))),
+    "list or tuple": (closing_over, [1], (1,)),
+    "value in a dict": (closing_over, {"a": 1}, {"a": 2}),
+    "key of a dict": (closing_over, {"a": 1}, {"b": 1}),
+    "set": (closing_over, {1, 2}, {1, 3}),
+    "ordered dict": (closing_over, OrderedDict(a=1), OrderedDict(a=2)),
+    "deque": (closing_over, deque([1]), deque([2])),
+    "range": (closing_over, range(3), range(4)),
+    "slice": (closing_over, slice(3), slice(4)),
+    "path": (closing_over, Path("a"), Path("b")),
+    "type of torch": (closing_over, torch.float16, torch.bfloat16),
+    "member": (closing_over, Kind.FEW, Kind.MANY),
+    "record": (closing_over, Record(1), Record(2)),
+    "class as a value": (closing_over, Called, Slotted),
+    "bound method": (lambda v: Called(v).method, 1, 2),
+    "partial": (lambda v: functools.partial(answer, score=v), 0.1, 0.2),
+    "partial, by place": (lambda v: functools.partial(with_default(0), np.array(v)), 1, 2),
+    "cached": (lambda v: functools.lru_cache(closing_over(v)), 1, 2),
+    "wrapped": (lambda v: torch.no_grad()(closing_over(v)), 1, 2),
+    "default": (with_default, 0.2, 0.3),
+    "default of a name": (with_named_default, 0.2, 0.3),
+    "attribute of a function": (with_function_attribute, 1, 2),
+    "global": (with_global, 0.5, 0.6),
+    "what a module holds": (asks_a_module, 0.5, 0.6),
+    "attribute": (Called, 1, 2),
+    "attribute's attribute": (lambda v: Called(Called(v)), 1, 2),
+    "slot": (Slotted, 1, 2),
+    "pickled otherwise": (Silent, 1, 2),
+    "attribute of a class": (class_with, 1, 2),
+    "attribute of a base": (inherits_from, 1, 2),
+    "method of a class": (class_with, closing_over(1), closing_over(2)),
+    "items of a list of mine": (Listed, [1], [2]),
+    "cycle": (cyclic, 1, 2),
+    "model of MAITE's": (Model, 1, 2),
+    "model around a tensor": (Model, torch.ones(2), torch.zeros(2)),
+    "module's plain attribute": (lambda v: Net(threshold=v), 0.2, 0.3),
+    "module's tensor that is none of its": (lambda v: Net(table=[torch.tensor(v)]), 1.0, 2.0),
+    "module's function": (lambda v: Net(after=closing_over(v)), 1, 2),
+    "module's buffer": (net_with_buffer, 1.0, 2.0),
+    "code": (lambda v: v, lambda picture: [[0, 0, 1, 1, 0.5]], lambda picture: [[0, 0, 1, 1, 0.6]]),
+    "code within code": (lambda v: v, lambda p: (lambda: 1)(), lambda p: (lambda: 2)()),
+    "builtin of an object": (lambda v: v.get, {1: 2}, {1: 3}),
+}  # fmt: skip
+
+
+def record_of(thing: object) -> dict:
+    detector = as_detector(thing)
+    return detector_record(detector) | {"found again by": content_hash({"it": detector}, {"inputs": {"identity": 1}})}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_two_that_differ_in_one_place_are_two(name: str) -> None:
+    make, first, second = PAIRS[name]
+    one, again, other = record_of(make(first)), record_of(make(first)), record_of(make(second))
+    assert one == again and one["source"] != other["source"] and one["found again by"] != other["found again by"]
+    assert "unknown" not in one["source"]["content"]
+
+
+def test_fifty_pairs_or_more() -> None:
+    assert len(PAIRS) >= 50 and is_maite_model(Model(1))
+    records = [record_of(make(value))["source"]["content"] for make, *values in PAIRS.values() for value in values]
+    assert len(set(records)) >= len(PAIRS)
+
+
+@pytest.mark.parametrize("make", [threading.Lock, lambda: (i for i in ()), lambda: sys.stdout])
+def test_what_cannot_be_known_is_never_found_again(make: Callable) -> None:
+    thing = make()
+    first, second = record_of(closing_over(thing)), record_of(closing_over(thing))
+    assert first["source"] != second["source"] and first["found again by"] != second["found again by"]
+    assert trained_against({"detectors": [first]}, {"it": as_detector(closing_over(thing))}) == {"it": None}
+
+
+def test_where_it_logs_decides_nothing() -> None:
+    first, second = (record_of(Called([logging.getLogger(name)])) for name in ("a", "b"))
+    assert first == second and "unknown" not in first["source"]["content"]
+
+
+def test_an_object_that_changes_after_it_was_given_is_another() -> None:
+    thing = Called(1)
+    detector = as_detector(thing)
+    trained = detector_record(detector)
+    assert trained_against({"detectors": [trained]}, {"it": detector}) == {"it": True}
+    thing.value = 2
+    assert detector_record(detector) != trained
+    assert trained_against({"detectors": [trained]}, {"it": detector}) == {"it": None}
+    assert trained_against({"detectors": [trained]}, {"it": as_detector(answer)}) == {"it": False}
+
+
+@pytest.mark.slow
+def test_another_process_finds_the_same() -> None:
+    script = "from tests.detectors.test_reachable import PAIRS\nfrom cloak_core.detectors.reachable import content_of\n"
+    script += (
+        "print(*(content_of(make(value)) for n, (make, *values) in PAIRS.items() if n != 'cached' for value in values))"
+    )
+    found = {subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout for _ in range(2)}
+    assert len(found) == 1 and len(next(iter(found)).split()) == 2 * len(PAIRS) - 2
