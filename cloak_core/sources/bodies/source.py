@@ -122,10 +122,6 @@ class BodySource:
         source._caches = self._caches
         return source
 
-    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """See `Source`: as the plan says."""
-        return self.plan.draw(dealt, random)
-
     @property
     def works_on(self) -> torch.device:
         """See `Source`."""
