@@ -124,8 +124,8 @@ class BodySource:
 
     @property
     def works_on(self) -> torch.device:
-        """See `Source`."""
-        return self.views_for(False).works_on
+        """See `Source`; see `ViewCache`."""
+        return torch.device("cpu" if self.settings.by_area else self.settings.device)
 
     @cached_property
     def identity(self) -> str:
@@ -136,7 +136,8 @@ class BodySource:
     def views_for(self, needs_cloth: bool) -> ViewCache:
         """Give the cache of views that tell where on a cloth places lie, or of those that do not."""
         if needs_cloth not in self._caches:
-            self._caches[needs_cloth] = ViewCache(self.bodies, self.settings, on_cloth=needs_cloth)
+            # Threads that make views may ask at once; all of them get the same.
+            self._caches.setdefault(needs_cloth, ViewCache(self.bodies, self.settings, on_cloth=needs_cloth))
         return self._caches[needs_cloth]
 
     def camera(self, shown: Mapping[str, int | float]) -> Camera:
