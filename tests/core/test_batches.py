@@ -58,7 +58,8 @@ def test_threads_make_views_where_the_cpu_makes_them(two_cores, monkeypatch):
 
     def count(on: str, works_on: str, is_fresh: bool = True) -> int:
         batcher.device = torch.device(on)
-        batcher.source = SimpleNamespace(works_on=torch.device(works_on), is_fresh=is_fresh)
+        source = SimpleNamespace(works_on=torch.device(works_on), is_fresh=is_fresh)
+        batcher.sampler = SimpleNamespace(source=source)
         return batcher._workers()
 
     assert count("cpu", "cpu") == 2 and count("cpu", "cpu", is_fresh=False) == 1

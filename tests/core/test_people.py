@@ -69,6 +69,7 @@ def people_sampler(count: int, poses: int = 1, outfits: int = 1, **changes) -> S
     """Draws of bodies and of `count` people, without a pixel of them."""
     chosen = settings(**changes)
     people = PeopleSource([object.__new__(Fit)] * count, 64, chosen.photographs, chosen.run.seed)
+    people.identity = None  # of pixels, too
     mixed = Mixture(DrawsAlone(chosen.views, poses, outfits), people, chosen.photographs.people_share, chosen.run.seed)
     return Sampler(chosen, mixed, 5)
 

@@ -4,7 +4,9 @@ import pytest
 from cloak_core.core.cameras import Camera
 from cloak_core.core.sampling import Draws, Sampler
 from cloak_core.core.settings import make_settings
-from cloak_core.sources.bodies.source import BodyPlan
+from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.sources.bodies.source import BodyPlan, BodySource
+from tests.core.fakes import box_bodies
 
 OWN = ("background", "shift", "contrast", "brightness", "seed")
 
@@ -15,7 +17,8 @@ def sampler(poses=3, outfits=2, backgrounds=7, **changes) -> Sampler:
 
 
 def cameras(of: Sampler, step: int) -> list[Camera]:
-    return [of.source.camera(shown) for shown, _ in of.draw(step).views()]
+    source = BodySource(box_bodies(1), RenderSettings(), of.settings.views.camera(0.0, 0.0, 1.0))
+    return [source.camera(shown) for shown, _ in of.draw(step).views()]
 
 
 def whole_run(of: Sampler) -> Draws:
