@@ -157,7 +157,7 @@ class Pool:
         views = batcher.images.make_views(draws.views(), own)
         images = []
         for view, background, shift in zip(views, draws.background, torch.from_numpy(draws.shift), strict=True):
-            rows = batcher.images.backdrop([view], [background])
+            rows = batcher.images.backdrop([view], [int(background)])
             moved = shift[None].to(self.device) * view.subject.is_alone
             images.append(dressed([view], own, rows, moved).paint(clothing[: len(view.own)])[0])
         return torch.stack(images)
