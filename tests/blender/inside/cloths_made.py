@@ -42,7 +42,7 @@ def wall(size: float = 2.0) -> bpy.types.Object:
 
 
 def wanted_at(x: np.ndarray, z: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """What the trainer sees at places of a front panel: `Cloth.square_at`, metres right and down."""
+    """What the trainer sees at places of a front panel: `Grid.square_at`, metres right and down."""
     row, column = np.floor(-z / METRES * SQUARES).astype(int), np.floor(x / METRES * SQUARES).astype(int)
     return squares[row % SQUARES, column % SQUARES]
 

@@ -49,25 +49,25 @@ CORE = """
 import sys
 import numpy as np
 import torch
-from cloak_core.core.baking import on_cloth
 from cloak_core.core.cameras import Camera
+from cloak_core.core.images import dressed
 from cloak_core.core.logo import load_logo
-from cloak_core.core.paint import compose
+from cloak_core.core.paint import blank
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.studies.printed_cloth import cloth_of_run
+from cloak_core.sources.bodies.source import BodySource
+from cloak_core.studies.opening import run_pattern
 from pathlib import Path
 scene, run, out, distance, side = *sys.argv[1:4], float(sys.argv[4]), int(sys.argv[5])
 bodies = load_scene(scene).select_poses([0])
-logo = load_logo(bodies, Path(run, "logo.npy"))
-settings = RenderSettings(light=Light(ambient=1.0, diffuse=0.0, specular=0.0))
-camera = Camera(azimuth=0.0, distance=distance, width=side, height=side)
-view = ViewCache(bodies, settings, on_cloth=True).bake(0, camera, logo.face_ids)
-cloth = cloth_of_run(Path(run))
-grey = torch.full((1, 3, side, side), 0.5)
-worn = compose([on_cloth(view, cloth.cloth)], torch.from_numpy(cloth.colors), grey)[0]
-nobody = compose([on_cloth(view, cloth.cloth)], torch.zeros(len(cloth.colors), 3), grey)[0]
+cloth = run_pattern(Path(run), load_logo(bodies, Path(run, "logo.npy")))
+camera = Camera(width=side, height=side)
+source = BodySource(bodies, RenderSettings(light=Light(ambient=1.0, diffuse=0.0, specular=0.0)), camera)
+shown = {"pose": 0, "outfit": 0, "azimuth": 0.0, "elevation": camera.elevation, "distance": distance}
+view = source.view(shown, None, cloth)
+canvas = dressed([view], cloth, blank(1, side, side).fill_(0.5))
+worn = canvas.paint(cloth.colors_in(view, 0))[0].clone()
+nobody = canvas.paint(torch.zeros(cloth.count, 3))[0]
 np.savez(out, worn=worn.permute(1, 2, 0).numpy(), logo=(nobody == 0).all(0).numpy())
 """
 """The trainer's view of the cloth under even light."""
