@@ -15,6 +15,8 @@ from cloak_core.commands.sharing import Sharing
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from cloak_core.core.detector.protocol import Detector
     from cloak_core.sources.photographs.people import People
     from cloak_core.studies.card.assess import Assessment
@@ -80,7 +82,9 @@ class Assess(Splitting, Detecting, Sharing):
         from cloak_core.studies.card.page import write_card, write_comparison
         from cloak_core.studies.report.words import short_names
 
-        cards = cards or gather(self.out)
+        if not self.specs:
+            cards = gather(self.out)
+            self._require_figures(bounds, cards.values())
         called = short_names(card["spec"] for card in cards.values())
         folders = {called[card["spec"]]: self.out / name for name, card in cards.items()}
         pages = [write_card(folder) for folder in folders.values()]
@@ -109,8 +113,14 @@ class Assess(Splitting, Detecting, Sharing):
 
         return [] if self.gate is None else read_gate(self.gate)
 
+    def _require_figures(self, bounds: list[Bound], cards: Iterable[dict]) -> None:
+        from cloak_core.studies.card.gate import require_measured
+
+        for card in cards if bounds else ():
+            require_measured(self.gate, bounds, card)
+
     def _parts(self) -> list[tuple[str, Assess]]:
-        alone = self.part_of(leaderboard=None, gate=None, junit=None)
+        alone = self.part_of(leaderboard=None, junit=None)
         return [(spec, replace(alone, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
 
     def _sizes(self) -> list[Size]:
@@ -144,11 +154,13 @@ class Assess(Splitting, Detecting, Sharing):
         self.prepare()
         specs, patterns = tuple(dict.fromkeys(self.specs)), self._patterns()
         people = None if self.people is None else load_people(self.people, self.images)
-        names, cards = folder_names(specs), {}
-        for spec, detector in self.by_spec(specs).items():
-            assessment = self._choose(spec, detector, self.out / names[spec], people, patterns)
-            cards[names[spec]] = assessment.run()
-        return cards
+        names, bounds = folder_names(specs), self._bounds()
+        assessments = {
+            names[spec]: self._choose(spec, detector, self.out / names[spec], people, patterns)
+            for spec, detector in self.by_spec(specs).items()
+        }
+        self._require_figures(bounds, (assessment.expected() for assessment in assessments.values()))
+        return {name: assessment.run() for name, assessment in assessments.items()}
 
     def _choose(
         self, spec: str, detector: Detector, folder: Path, people: People | None, patterns: tuple[str, ...]

@@ -81,6 +81,40 @@ def test_all_boxes_are_read_and_trained_against(bias: str, tmp_path: Path, caplo
     assert verify(detector, images(4, SIDE, SIDE))["failed"] == []
 
 
+def suppressing(path: Path, scale: float = 1.0) -> Path:
+    """Save a network that answers [1, n, 6]: the rows of all boxes, suppressed; scale: of boxes after that."""
+    made = Made()
+    made.body()
+    made.head()
+    made.nodes[-1].output[0] = made.nodes[-1].name = "columns"
+    for name, values in {"none": [0], "two": [2], "three": [3], "most": [KEPT], "all": [6]}.items():
+        made.weight(name, np.array(values), INT)
+    made.weight("iou", np.array([0.5]))
+    made.weight("scale", np.array(scale))
+    made.node("Transpose", "columns", "all_rows", perm=[0, 2, 1])
+    made.node("Slice", "all_rows none cut two", "corners")
+    made.node("Slice", "all_rows cut all two", "classes")
+    made.node("ReduceMax", "classes", "best", axes=[-1])
+    made.node("Transpose", "best", "flat_best", perm=[0, 2, 1])
+    made.node("NonMaxSuppression", "corners flat_best most iou", "chosen")
+    made.node("Slice", "chosen two three axis", "column")
+    made.node("Squeeze", "column axis", "index")
+    made.node("ArgMax", "classes", "kind", axis=-1)
+    made.node("Cast", "kind", "kind_real", to=onnx.TensorProto.FLOAT)
+    made.node("Mul", "corners scale", "scaled")
+    made.node("Concat", "scaled best kind_real", "answers", axis=2)
+    made.node("Gather", "answers index", "output", axis=1)
+    return made.save(path, batch=1)
+
+
+def test_boxes_are_read_before_their_suppression(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    detector = load_detector(f"onnx:{suppressing(tmp_path / 'n.onnx')}")
+    assert not caplog.records and detector.differentiable and detector.source["layout"] == "end2end"
+    batch = images(2, SIDE, SIDE)
+    assert detector(batch).scores.shape == (2, 64) and bool(torch.lt(*lowers_score(detector, batch)[::-1]).all())
+    assert not load_detector(f"onnx:{suppressing(tmp_path / 'n.onnx', scale=2.0)}").differentiable
+
+
 def test_a_person_that_is_not_chosen_still_has_a_gradient(tmp_path: Path) -> None:
     detector = load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx')}")
     inputs = images(1, SIDE, SIDE).requires_grad_()
@@ -92,7 +126,7 @@ def test_a_person_that_is_not_chosen_still_has_a_gradient(tmp_path: Path) -> Non
 def test_what_changes_boxes_after_the_choice_is_read_as_the_file_answers(tmp_path: Path, caplog) -> None:
     with caplog.at_level(logging.WARNING):
         detector = load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx', scale=2.0)}")
-    assert "only the boxes that the file chooses have one" in caplog.text
+    assert "only the boxes that the file chooses have a gradient" in caplog.text
     assert detector.differentiable and "chooses" in detector.partial_gradient
     found = detector(images(2, SIDE, SIDE))
     assert found.scores.shape == (2, KEPT) and detector.source["layout"] == "end2end"

@@ -102,7 +102,7 @@ def test_the_page_needs_nothing_but_itself(made: tuple[Path, dict, list]) -> Non
     assert "<script" not in page and not re.search(r"(src|href)=\"(?!data:|#)", page)
     for words_of in ("What was not tested", "By the cloak", "All around", "By the detection threshold"):
         assert words_of in page
-    assert words.headline(made[1]) in page
+    assert all(line["said"] in page for line in words.lines(made[1])) and words.relation(made[1]) in page
     assert (made[0] / "glow/card.md").read_text().startswith("| detector |")
 
 
@@ -278,16 +278,34 @@ def hiding(row: dict, share: float, state: str = "measured") -> dict:
     return row | {"success_own": share, "ci95_own": [share, share], "state": state}
 
 
-def test_the_headline_is_the_strongest_attack_of_any_kind_photographs_first() -> None:
+def test_photographs_and_renders_have_a_line_each_and_one_number() -> None:
     """A weak cloak in photographs does not speak for a detector that another's cloak hides people from."""
     card = short_card(photographs=PEOPLE | {"rows": {n: hiding(r, 0.0) for n, r in PEOPLE["rows"].items()}})
     card["black_box"] = {"zoo": [hiding(card["black_box"]["zoo"][0], 0.67)], "worst": "others"}
-    assert "others, made against other detectors, hides 67 % of people" in words.headline(card)
-    assert words.headline(card).startswith("In photographs, 0 % of people")
-    assert words.worst(card)["value"] == "67 %" and words.verdict(card)[0] == "bad"
-    equal = short_card(photographs=PEOPLE)
-    assert words.headline(equal).startswith("In photographs, 70 % of people who wear the pattern texture are hidden")
-    assert "On rendered bodies" not in words.headline(equal) and "photographs" in words.worst(equal)["what"]
+    photographed, rendered = words.lines(card)
+    assert photographed["said"] == "In photographs, a cloak made against it hides 0 % of people from builtin."
+    assert rendered["said"].startswith("On rendered bodies, others, made against other detectors, hides 67 % of people")
+    assert (photographed["value"], rendered["value"]) == ("0 %", "67 %") and words.verdict(card)[0] == "bad"
+    assert words.headline(card).startswith(f"{photographed['said']} {rendered['said']} In photographs nobody wore that")
+
+
+@pytest.mark.parametrize(
+    ("render", "photograph", "said"),
+    [
+        (0.99, [0.0, 0.0, 0.09], "hides 0 % (95 % interval 0 – 9 %): what hides on renders does not hide there."),
+        (0.5, [0.4, 0.3, 0.6], "hides 40 % (95 % interval 30 – 60 %): within their intervals the two agree."),
+        (0.5, None, "Nobody in photographs was shown"),
+    ],
+)
+def test_the_card_says_what_renders_are_worth_in_photographs(render: float, photograph: list | None, said: str) -> None:
+    card = short_card()
+    card["white_box"] = [hiding(card["white_box"][0], render)]
+    if photograph is not None:
+        made = PEOPLE["rows"]["made against it"] | {"success_own": photograph[0], "ci95_own": photograph[1:]}
+        card["photographs"] = PEOPLE | {"rows": PEOPLE["rows"] | {"made against it": made}}
+    assert said in words.relation(card) and words.headline(card).endswith(words.relation(card))
+    assert len(words.lines(card)) == 1 + (photograph is not None)
+    assert words.relation(short_card(white_box=[])) == "Nobody attacked it who has the network."
 
 
 def test_one_rule_says_how_sure_a_figure_is_everywhere() -> None:
@@ -298,8 +316,9 @@ def test_one_rule_says_how_sure_a_figure_is_everywhere() -> None:
     assert certainty.state_of_attack(300, 0.76, "") == "measured" == certainty.state_of_attack(600, None, "")
     assert certainty.state_of_attack(600, None, "the second stage is held") == "at least"
     card["white_box"] = [hiding(card["white_box"][0], 0.02, "at least") | {"steps": 25}]
-    assert "at least 2 %" in words.headline(card) and words.worst(card)["value"] == "≥ 2 %"
-    assert words.worst(card)["kind"] == words.verdict(card)[0] == "unknown"
+    (line,) = words.lines(card)
+    assert "at least 2 %" in words.headline(card) and line["value"] == "≥ 2 %"
+    assert line["kind"] == words.verdict(card)[0] == "unknown"
     (tile,) = [tile for tile in words.tiles(card) if "76 %" in tile["what"]]
     assert (tile["value"], tile["state"], tile["kind"]) == ("≥ 2 %", "at least", "unknown") and "25 upd" in tile["what"]
     (missing,) = [tile for tile in words.tiles(card) if "all around" in tile["what"]]

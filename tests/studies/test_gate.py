@@ -8,7 +8,10 @@ import pytest
 from cloak_core.cli import main
 from cloak_core.commands import assess
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import is_number
 from cloak_core.studies.card import gate, leaderboard, page
+from cloak_core.studies.card.assess import Assessment
+from tests.studies.made_cards import TINY, Glow, make_store
 
 CARD = {
     "spec": "builtin",
@@ -104,3 +107,54 @@ def test_control_characters_do_not_break_the_junit_file(tmp_path: Path) -> None:
     gate.write_junit(tmp_path / "gate.xml", {"onnx:a\x1b[31m\0.onnx": {bound: "below \x07 it"}})
     (case,) = ElementTree.parse(tmp_path / "gate.xml").getroot().iter("testcase")
     assert case.get("classname") == r"onnx:a\x1b[31m\x00.onnx" and case[0].get("message") == r"below \x07 it"
+
+
+@pytest.mark.slow
+def test_the_expected_card_has_the_figures_of_the_measured_one(made: tuple[Path, dict, list], tmp_path: Path) -> None:
+    """In both boxes; what a detector may be renamed to, and the rest that it may not tell, are expected at most."""
+    for name, white_box in (("glow", True), ("dark:net.onnx", False)):
+        card = made[1] if white_box else leaderboard.read_card(made[0] / "dark" / "card.json")
+        store = make_store(tmp_path, Glow(name, white_box))
+        expected = Assessment(store, TINY, tmp_path / "x", ["builtin-sample"] if white_box else []).expected()
+        numbers, promised = ({p for p, v in gate.flat(c) if is_number(v)} for c in (card, expected))
+        assert numbers <= promised and {p.rpartition(".")[2] for p in promised - numbers} <= NAMELESS
+
+
+NAMELESS = {"renamed", "renamed_own", "gone", "gone_own", "other"}
+"""Figures of a detector that tells of other classes."""
+PEOPLE = {"named": {"dog": 3}, "success_own": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("clean.recall_own", ""),
+        ("white_box.20.named.cat", ""),
+        ("circle", ""),
+        ("clean.recal_own", "no figure of this card (size quick, no --people); did you mean clean.recall_own?"),
+        ("white_box.40.success_own", "did you mean white_box.20.success_own?"),
+        ("photographs.rows.cloth.success_own", "no --people"),
+        ("spec", "no figure"),
+    ],
+)
+def test_a_key_that_is_no_figure_is_refused(key: str, said: str, tmp_path: Path) -> None:
+    card = CARD | {"size": "quick", "circle": None, "white_box": [PEOPLE | {"asked": 0.2}]}
+    try:
+        gate.require_measured(tmp_path, [gate.Bound(key, "max", 0.5)], card)
+        told = ""
+    except InputError as error:
+        told = str(error)
+    assert said in told and bool(said) == bool(told)
+
+
+def test_nothing_is_measured_under_a_gate_that_cannot_be_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Assessment, "run", lambda _: pytest.fail("measured"))
+    (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.3")
+    words = ["--size", "quick", "--out", str(tmp_path / "cards"), "--gate", str(tmp_path / "gate.toml")]
+    with pytest.raises(SystemExit, match="2"):
+        main(["assess", "builtin", *words, "--junit", str(tmp_path / "gate.xml")])
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert "no figure of this card (size quick, no --people); did you mean white_box.76.success_own?" in said
+    assert not (tmp_path / "gate.xml").exists()

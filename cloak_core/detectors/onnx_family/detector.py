@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     import onnx
 
 END_TO_END = "end2end"
-CHOSEN_ALONE = "only the boxes that the file chooses have one"
+CHOSEN_ALONE = "only the boxes that the file chooses have a gradient"
 COCO_91 = (90, 91, 92)
 """Numbers of classes of exports that count COCO's own ids, where "nothing" may be among them."""
 PACKAGES = ("onnx", "onnx2torch", "onnxruntime")
@@ -115,8 +115,10 @@ def load_onnx(request: Request) -> OnnxDetector:
         detector = _assemble(request, named, file, _converted(file, model, size, request.fold))
         _compare(detector, file, request.fold)
         if detector.partial_gradient and request.fold:
-            _log.warning("%s: of its gradient, %s; its graph shows no others", file.path, detector.partial_gradient)
+            _log.warning("%s: %s; its graph shows no others", file.path, detector.partial_gradient)
         if not request.fold:
+            if detector.partial_gradient:
+                raise NotTrainable(f"{file.path}: its graph chooses boxes itself, and {CHOSEN_ALONE}")
             detector.weights = TrainableWeights(detector.network.graph, model, read_proto(file.path)[0])
     except NotConvertible as error:
         if not request.fold:

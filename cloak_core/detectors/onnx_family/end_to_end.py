@@ -6,10 +6,13 @@ first TopK, where every box still has the scores of all classes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -35,31 +38,61 @@ def before_choice(file: ModelFile, size: tuple[int, int]) -> ModelFile:
 
     It stays as it is where the best rows of the file do not stand among these boxes, too.
     """
-    names = _boxes_and_scores(file.model.graph)
-    if names is None or file.suppresses:
+    if len(file.model.graph.output) != 1:
         return file
-    cut = replace(file, model=_ending_in(file.model, names), output_names=names, before_choice=True)
-    try:
-        return cut if _has_the_same_best(file, cut, size) else file
-    except (InputError, RuntimeError, IndexError):  # onnxruntime's words, or outputs of other shapes
-        return file
+    ways = map(partial(_parted, file.model), _all_rows(file)) if file.suppresses else _boxes_and_scores(file.model)
+    for model, names in ways:
+        cut = replace(file, model=_ending_in(model, names), output_names=names, before_choice=True, suppresses="")
+        with contextlib.suppress(InputError, RuntimeError, IndexError):  # onnxruntime's words, or other shapes
+            if _has_the_same_best(file, cut, size):
+                return cut
+    return file
 
 
-def _boxes_and_scores(graph: onnx.GraphProto) -> tuple[str, str] | None:
-    """Names of the tensors that hold all boxes and all scores; None where the only output is no choice among them."""
+Ways = Iterator[tuple["onnx.ModelProto", tuple[str, str]]]
+"""A model, and names of its tensors that may hold all boxes and all scores."""
+
+
+def _all_rows(file: ModelFile) -> Iterator[str]:
+    """Names of the tensors, from the last to the first, through which all goes from the image to the suppression."""
+    graph = file.model.graph
+    depends, needed, suppressed = _downstream(graph, [file.input_name]), {graph.output[0].name}, False
+    for node in reversed(graph.node):
+        if needed.intersection(node.output):
+            needed = (needed - set(node.output)) | depends.intersection(node.input)
+            suppressed |= node.op_type == "NonMaxSuppression"
+            if suppressed and len(needed) == 1:
+                yield from needed
+
+
+def _parted(model: onnx.ModelProto, rows: str) -> tuple[onnx.ModelProto, tuple[str, str]]:
+    """Copy the model, with rows [N, A, 4 + K] parted into boxes and scores."""
+    from onnx import helper, numpy_helper
+
+    copied = type(model)()
+    copied.CopyFrom(model)
+    ends = {"cloak/start": [0], "cloak/four": [4], "cloak/end": [np.iinfo(np.int32).max], "cloak/last": [2]}
+    copied.graph.initializer.extend(numpy_helper.from_array(np.array(v, np.int64), k) for k, v in ends.items())
+    for name, first, last in (("boxes", "start", "four"), ("scores", "four", "end")):
+        inputs = [rows, f"cloak/{first}", f"cloak/{last}", "cloak/last"]
+        copied.graph.node.append(helper.make_node("Slice", inputs, [f"cloak/{name}"]))
+    return copied, ("cloak/boxes", "cloak/scores")
+
+
+def _boxes_and_scores(model: onnx.ModelProto) -> Ways:
+    """Find all boxes and all scores before every choice by TopK that the output comes from."""
+    graph = model.graph
     made_by = {output: node for node in graph.node for output in node.output}
-    choice = next((node for node in graph.node if node.op_type == "TopK"), None)
-    if choice is None or len(graph.output) != 1:
-        return None
-    scores = choice.input[0]
-    while scores in made_by and made_by[scores].op_type in KEEPS_SCORES:
-        scores = made_by[scores].input[0]
-    chosen = _downstream(graph, choice.output)
-    for node in graph.node:
-        data, index = (*node.input, "")[:2] if node.op_type in GATHERS else ("", "")
-        if index in chosen and data not in chosen and data != scores:
-            return (data, scores) if graph.output[0].name in chosen else None
-    return None
+    for choice in (node for node in graph.node if node.op_type == "TopK"):
+        scores = choice.input[0]
+        while scores in made_by and made_by[scores].op_type in KEEPS_SCORES:
+            scores = made_by[scores].input[0]
+        chosen = _downstream(graph, choice.output)
+        for node in graph.node:
+            data, index = (*node.input, "")[:2] if node.op_type in GATHERS else ("", "")
+            if index in chosen and data not in chosen and data != scores and graph.output[0].name in chosen:
+                yield model, (data, scores)
+                break
 
 
 def _downstream(graph: onnx.GraphProto, names: Iterable[str]) -> set[str]:
@@ -90,12 +123,18 @@ def _ending_in(model: onnx.ModelProto, names: tuple[str, ...]) -> onnx.ModelProt
 
 
 def _has_the_same_best(file: ModelFile, cut: ModelFile, size: tuple[int, int]) -> bool:
-    """Whether the file's best rows of a sample image stand among the boxes before its choice."""
-    image = sample_images(size)[:1]
-    (rows,), (boxes, scores) = (Session(f.session(torch.get_num_threads()), f)(image) for f in (file, cut))
-    if rows.dim() != 3 or rows.shape[2] != 6 or boxes.shape[:2] != scores.shape[:2] or boxes.shape[2] != 4:
-        return False
-    return all(_stands_in(row, boxes[0], scores[0]) for row in rows[0, :ROWS])
+    """Whether the file's best rows of sample images stand among the boxes before its choice; padding is no row."""
+    sessions = [Session(f.session(torch.get_num_threads()), f) for f in (file, cut)]
+    found = 0
+    for image in sample_images(size).split(1):
+        (rows,), (boxes, scores) = (session(image) for session in sessions)
+        if rows.dim() != 3 or rows.shape[2] != 6 or boxes.shape[:2] != scores.shape[:2] or boxes.shape[2] != 4:
+            return False
+        best = [row for row in rows[0, :ROWS] if row[4] > 0]
+        if not all(_stands_in(row, boxes[0], scores[0]) for row in best):
+            return False
+        found += len(best)
+    return found > 0
 
 
 def _stands_in(row: Tensor, boxes: Tensor, scores: Tensor) -> bool:

@@ -187,3 +187,20 @@ def _normalize_from(axis: int, epsilon: float, x: Tensor, scale: Tensor, bias: T
 @_translates("Split", lambda node, _: any(a.name == "num_outputs" for a in node.attribute))
 def _split(node: OnnxNode) -> nn.Module:
     return EvenSplit(node.attributes["num_outputs"], node.attributes.get("axis", 0))
+
+
+class TopK(nn.Module):
+    """The best along an axis and where they stand; of equal ones the first, which torch leaves open."""
+
+    def __init__(self, axis: int, largest: bool) -> None:
+        super().__init__()
+        self.axis, self.largest = axis, largest
+
+    def forward(self, x: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
+        ordered = x.sort(dim=self.axis, descending=self.largest, stable=True)
+        return tuple(part.narrow(self.axis, 0, int(count)) for part in ordered)
+
+
+@_translates("TopK", lambda node, _: len(node.input) == 2)
+def _top_k(node: OnnxNode) -> nn.Module:
+    return TopK(node.attributes.get("axis", -1), bool(node.attributes.get("largest", 1)))

@@ -71,8 +71,8 @@ class TrainableWeights:
             held = _as_in_the_file(_tensor_at(graph, places[0]), places[0])
             if alike and name in tensors and np.array_equal(held, numpy_helper.to_array(tensors[name])):
                 self._tie(graph, name, places)
-        self.chooses = next((node.name or node.op_type for node in model.graph.node if node.op_type == "TopK"), "")
-        """Name of a node that chooses the best of its input, so that outputs stand in no order; "" for none."""
+        self.chooses = any(node.op_type == "TopK" for node in model.graph.node)
+        """The graph chooses the best of something, so that its outputs stand in no order."""
         trained = set(map(id, self.parameters.values()))
         for module in graph.modules():
             for attribute, parameter in list(module._parameters.items()):
@@ -81,11 +81,9 @@ class TrainableWeights:
                     module.register_buffer(attribute, parameter.detach())
 
     def check(self, path: Path) -> None:
-        """Check that a detector can learn. NotTrainable: nothing is trained, or the graph itself chooses boxes."""
+        """Check that a detector can learn. NotTrainable: nothing is trained."""
         if not self.parameters:
             raise NotTrainable(f"{path}: has no weights of convolutions or linear layers that could be trained")
-        if self.chooses:
-            raise NotTrainable(f"{path}: its graph chooses boxes itself (node {self.chooses}), which stand in no order")
 
     def write_into(self, original: onnx.ModelProto) -> None:
         """Write the weights that have changed into the file's graph, in place, in the precision that they have there.

@@ -67,6 +67,11 @@ def _rows_apart(a: Float[Tensor, "N C"], b: Float[Tensor, "M C"]) -> Apart:
     if not len(a) or not len(b):
         left = torch.cat([a, b])
         return Apart(float(left[:, 4].max()), math.inf) if len(left) else Apart(0.0, 0.0)
+    return in_any_order(a, b)
+
+
+def in_any_order(a: Float[Tensor, "N C"], b: Float[Tensor, "M C"]) -> Apart:
+    """Compare each row of boxes and scores with the one most like it on the other side, both ways."""
     return Apart(*map(max, _nearest(a, b), _nearest(b, a)))
 
 
@@ -88,7 +93,7 @@ def _rows(
 
 def _nearest(rows: Float[Tensor, "N C"], others: Float[Tensor, "M C"]) -> Apart:
     """Compare each row with the most alike of the others."""
-    limits = torch.tensor(([BOXES_PX] * 4 + [SCORES] * 2)[: rows.shape[1]], dtype=rows.dtype)
+    limits = torch.tensor([BOXES_PX] * 4 + [SCORES] * (rows.shape[1] - 4), dtype=rows.dtype)
     index = [(((row - others).abs() / limits).amax(dim=1)).argmin() for row in rows]
     return _worst((rows - others[torch.stack(index)]).abs())
 
@@ -105,8 +110,10 @@ AGREES = 0.1
 """The largest relative difference of a slope and a finite difference that counts as none."""
 SURE = 20
 """Judge a gradient on the sum of the logarithms of this many best scores."""
-STEPS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
+STEPS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003, 0.0001)
 """Widths of the finite differences: lengths of the change of the image."""
+LEAST_STEP, LEAST_CHANGE = 0.001, 0.1
+"""Smaller steps are taken only where the sureness is expected to change by more than float32 rounds."""
 
 
 def sureness(scores: Float[Tensor, "*shape"]) -> Float[Tensor, ""]:
@@ -138,7 +145,7 @@ def gradient_error(scores: Callable[[Tensor], Tensor], image: Float[Tensor, "1 3
         return None
     best = float("inf")
     with torch.no_grad():
-        for step in STEPS:
+        for step in (s for s in STEPS if s >= LEAST_STEP or s * length >= LEAST_CHANGE):
             way = step * gradient / length
             slope = float(sureness(scores(image + way)) - sureness(scores(image - way))) / (2 * step)
             best = min(best, abs(slope - length) / length)

@@ -25,6 +25,7 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.card import protocol
+from cloak_core.studies.card.expected import expected_card
 from cloak_core.studies.card.figures import VERSIONS, card_of, detector_facts, others_strongest
 from cloak_core.studies.card.page import keep_pictures
 from cloak_core.studies.card.parts import (
@@ -118,6 +119,22 @@ class Assessment:
         write_json(self.folder / "pictures.json", pictures)
         write_json(self.folder / "card.json", card)
         return card
+
+    def expected(self) -> dict:
+        """Make up the card of this call: see `expected_card`."""
+        unseen = {"bodies": None, "backgrounds": None}
+        zoo = [
+            {"name": entry["name"], "trained_against_it": False, "unseen": unseen, "area": 0} for entry in self.entries
+        ]
+        told = {
+            **self._head(),
+            "white_box": [{"area": area, "faces": 0} for area in self.size.areas] if self.white_box else [],
+            "black_box": {"zoo": zoo},
+            "patterns": [{"name": cloth.name} for cloth in self.clothes if not cloth.is_patch],
+            "photographs": None if self.people is None else {"left_out": {}},
+            "seconds": 0.0,
+        }
+        return expected_card(told, self.size, [cloth.name for cloth in self.clothes])
 
     def seconds_left(self, pace: Pace | None = None) -> tuple[float, Pace]:
         """Estimate the time of what is not done yet, and the detector's pace. pace: where it is known."""

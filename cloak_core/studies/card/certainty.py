@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.studies.card.protocol import AGAINST, updates_needed
 from cloak_core.studies.report.words import percent
+from cloak_core.zoo.entry import MARK
 
 MEASURED, AT_LEAST, NOT_MEASURED = "measured", "at least", "not measured"
 UNTRAINED = (CLOTHING, "grey", "random", "resampled")
@@ -27,6 +28,8 @@ class Attack:
     """In words: "a cloak on 76 % of the body, made against it"."""
     row: dict
     photographed: bool
+    in_photographs: str = ""
+    """Of an attack on rendered bodies: what people in photographs call the same cloth; "" where they never wear it."""
 
 
 def state_of_attack(steps: int, area: float | None, partial_gradient: str) -> str:
@@ -61,15 +64,16 @@ def attacks(card: dict) -> Iterator[Attack]:
     """List every attack of a card: on people in photographs, then on rendered bodies."""
     for name, row in worn_rows(card).items():
         yield Attack(_worn(name), row, True)
-    for row in card["white_box"]:
-        yield Attack(f"a cloak on {percent(row['area'])} of the body, made against it,", row, False)
+    for k, row in enumerate(card["white_box"], 1):
+        worn = AGAINST * (k == len(card["white_box"]))
+        yield Attack(f"a cloak on {percent(row['area'])} of the body, made against it,", row, False, worn)
     if card.get("around"):
         yield Attack("a cloak for all sides, made against it,", card["around"], False)
     for row in card.get("patterns") or []:
-        yield Attack(f"the pattern {row['name'].partition('@')[0]}", row, False)
+        yield Attack(f"the pattern {row['name'].partition('@')[0]}", row, False, row["name"])
     for row in card["black_box"]["zoo"]:
         if not row["trained_against_it"]:
-            yield Attack(f"{row['name']}, made against other detectors,", row, False)
+            yield Attack(f"{row['name']}, made against other detectors,", row, False, MARK + row["name"])
 
 
 def strongest(card: dict, photographed: bool | None = None) -> Attack | None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cloak_core.files.errors import InputError, one_line
+from cloak_core.files.errors import InputError, one_line, suggestion
 from cloak_core.files.reading import is_number, read_toml
 from cloak_core.files.writing import write_text
 from cloak_core.studies.card.certainty import AT_LEAST
@@ -35,7 +36,7 @@ def read_gate(path: Path) -> list[Bound]:
     tables = read_toml(path)
     if set(tables) - set(SIDES) or not all(isinstance(table, dict) for table in tables.values()):
         raise InputError(f"{path}: expected the tables [min] and [max]; found {', '.join(tables)}")
-    found = [(figure, side, value) for side, table in tables.items() for figure, value in _flat(table)]
+    found = [(figure, side, value) for side, table in tables.items() for figure, value in flat(table)]
     for figure, side, value in found:
         if not is_number(value):
             raise InputError(f"{path}: {side} {figure} is {value!r}, not a number")
@@ -44,13 +45,29 @@ def read_gate(path: Path) -> list[Bound]:
     return [Bound(figure, side, float(value)) for figure, side, value in found]
 
 
+def require_measured(path: Path, bounds: Sequence[Bound], card: dict) -> None:
+    """Require that a card, which may be the expected one, has the figures of a gate. InputError: one that is none."""
+    known = {_unnamed(place) for place, value in flat(card) if value is None or is_number(value)}
+    for bound in bounds:
+        if _unnamed(bound.figure) not in known:
+            parts = [f"size {card['size']}", *["no white box"] * (not card["white_box"])]
+            parts += ["no --people"] * (card.get("photographs") is None)
+            what = f"figure of this card ({', '.join(parts)})"
+            raise InputError(f"{path}: {bound.side} {bound.figure}: no {what}{suggestion(bound.figure, known)}")
+
+
+def _unnamed(place: str) -> str:
+    """Write a place without the class that a person may be renamed to, which nobody knows beforehand."""
+    return re.sub(r"\.(named|named_own)\..+", r".\1", place)
+
+
 def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
     """Say of each bound how the card breaks it, "" where it is kept.
 
     A figure that was not measured breaks its bound, and so does one that may be at most so much where it is only known
     to be at least so much.
     """
-    figures, said, unsure = dict(_flat(card)), {}, set(_unsure(card))
+    figures, said, unsure = dict(flat(card)), {}, set(_unsure(card))
     for bound in bounds:
         value = figures.get(bound.figure)
         kept = is_number(value) and (value >= bound.value if bound.side == "min" else value <= bound.value)
@@ -63,7 +80,7 @@ def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
 
 def _unsure(card: dict) -> Iterator[str]:
     """List the places of figures that are at least what they say."""
-    for place, value in _flat(card):
+    for place, value in flat(card):
         head, _, key = place.rpartition(".")
         if key == "state" and value == AT_LEAST and head:
             yield head
@@ -87,7 +104,7 @@ def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:
     write_text(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
 
 
-def _flat(value: object, place: str = "") -> Iterator[tuple[str, object]]:
+def flat(value: object, place: str = "") -> Iterator[tuple[str, object]]:
     """Walk through nested tables and lists: (place joined by dots, value).
 
     Rows of a list go by their name, or the share of the body that was asked for in per cent, or their index.
@@ -100,4 +117,4 @@ def _flat(value: object, place: str = "") -> Iterator[tuple[str, object]]:
         yield place, value
         return
     for key, inner in items:
-        yield from _flat(inner, f"{place}.{key}" if place else str(key))
+        yield from flat(inner, f"{place}.{key}" if place else str(key))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.detectors.defended.table import split_defence
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.specs import without_folders
@@ -11,17 +10,17 @@ from cloak_core.studies.card.certainty import (
     HALF,
     MEASURED,
     NOT_MEASURED,
-    Attack,
     kind,
     shown,
     state,
     strongest,
     whole,
     worded,
+    worn_rows,
 )
 from cloak_core.studies.card.leaderboard import name_of
 from cloak_core.studies.hardening.students import TRAINABLE
-from cloak_core.studies.report.words import instead, interval, percent
+from cloak_core.studies.report.words import interval, percent
 
 GOOD = 0.9
 ALWAYS = (
@@ -33,46 +32,46 @@ ALWAYS = (
 
 
 def headline(card: dict) -> str:
-    """Say how well people hide and what is seen instead, at the detector's own threshold; photographs first.
+    """Say at most three sentences: how many hide in photographs, how many in renders, what one says of the other."""
+    return " ".join([*(line["said"] for line in lines(card)), *filter(None, (relation(card),))])
 
-    Where another attack on rendered bodies hides more, that is said, too.
+
+def lines(card: dict) -> list[dict]:
+    """Say how many people the strongest attack hides, at the detector's own threshold: photographs first, then renders.
+
+    Each a sentence (`said`) with one number, which is also a tile (`tiles`).
     """
-    name, worn, rendered = name_of(card), strongest(card, True), strongest(card, False)
-    if worn is None and rendered is None:
-        return f"Nothing attacked {name} here: it gives no gradients, and there was no cloak to show it."
-    said = []
-    if worn is not None:
-        own = percent(card["photographs"]["rows"][CLOTHING]["success_own"])
-        said.append(
-            f"In photographs, {_worded(card, worn)} of people who wear {worn.worn} are hidden from {name}"
-            f"{instead(worn.row, own=True)}; in their own clothing it misses {own} of them."
-        )
-    if rendered is not None and (worn is None or rendered.row["success_own"] > worn.row["success_own"]):
-        said.append(_rendered(card, rendered, name))
+    found = []
+    for photographed in (True, False):
+        attack = strongest(card, photographed)
+        if attack is None:
+            continue
+        sure = whole(card)
+        row = attack.row | {"state": AT_LEAST if AT_LEAST in (state(attack.row), sure) else MEASURED}
+        where = "In photographs" if photographed else "On rendered bodies"
+        said = f"{where}, {attack.worn} hides {worded(attack.row, sure)} of people from {name_of(card)}."
+        what = "of people in photographs hidden" if photographed else "of people hidden, rendered"
+        found.append(_tile(what, row, "success_own", "down") | {"said": said})
+    return found
+
+
+def relation(card: dict) -> str:
+    """Say what the strongest attack on rendered bodies is worth in photographs, by rule from its row there."""
+    rendered = strongest(card, False)
+    if rendered is None:
+        nothing = f"Nothing attacked {name_of(card)} here: it gives no gradients, and there was no cloak to show it."
+        return "" if worn_rows(card) else nothing
     if not card["white_box"]:
-        said.append("Nobody attacked it who has the network.")
-    return " ".join(said)
-
-
-def _rendered(card: dict, attack: Attack, name: str) -> str:
-    row = attack.row
-    own = percent(row["clothing_own"])
-    start = f"On rendered bodies, {attack.worn} hides {_worded(card, attack)} of people from {name}"
-    return f"{start}{instead(row, own=True)}; in their own clothing it misses {own} of the same."
-
-
-def _worded(card: dict, attack: Attack) -> str:
-    return worded(attack.row, whole(card))
-
-
-def worst(card: dict) -> dict:
-    """Make the one number, as a tile with its words: the largest share of people that any attack hides."""
-    attack = strongest(card)
-    if attack is None:
-        return {"what": "nothing attacked it", "value": "–", "interval": "–", "kind": "unknown", "state": NOT_MEASURED}
-    what = "of people in photographs hidden" if attack.photographed else "of people hidden, rendered"
-    row = attack.row | {"state": AT_LEAST if AT_LEAST in (state(attack.row), whole(card)) else MEASURED}
-    return _tile(what, row, "success_own", "down")
+        return "Nobody attacked it who has the network."
+    if not card.get("photographs"):
+        return "Nobody in photographs was shown: renders alone say little of them."
+    again = worn_rows(card).get(rendered.in_photographs)
+    if again is None:
+        return "In photographs nobody wore that cloak: its figure is one of renders alone."
+    apart = again["ci95_own"][1] < rendered.row["ci95_own"][0]
+    carries = "what hides on renders does not hide there" if apart else "within their intervals the two agree"
+    bounds = interval(again["ci95_own"])
+    return f"Worn in photographs, the same cloth hides {shown(again)} (95 % interval {bounds}): {carries}."
 
 
 def advice(card: dict) -> str:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from cloak_core.studies.hardening.distillation import BOX_WEIGHT, FOUND_WEIGHT
@@ -106,6 +107,24 @@ SMALLEST_BOX = 8.0
 def answer_of(scores: Float[Tensor, "B N K"], boxes: Float[Tensor, "B N 4"]) -> Answer:
     """Make an answer of scores in [0, 1] of K classes and boxes xyxy in pixels."""
     return Answer(scores.float().clamp(LEAST, MOST).logit(), boxes.float().unsqueeze(2))
+
+
+@torch.no_grad()
+def in_the_order_of(student: Answer, teacher: Answer) -> Answer:
+    """Order the teacher's boxes of each image as the student's that they are most like, one to one.
+
+    By the least sum of differences of corners and scores (the matching of DETR, arXiv:2005.12872).
+    """
+    rows = []
+    for image in range(len(student.kinds)):
+        a, b = (one.boxes[image, :, 0] for one in (student, teacher))
+        side = (b[:, 2:] - b[:, :2]).abs().mean(-1).clamp(min=SMALLEST_BOX)
+        cost = torch.cdist(a, b, p=1) / side
+        cost += torch.cdist(*(one.kinds[image].sigmoid() for one in (student, teacher)), p=1)
+        rows.append(torch.from_numpy(linear_sum_assignment(cost.cpu().numpy())[1]))
+    index = torch.stack(rows).to(teacher.kinds.device)
+    image = torch.arange(len(index), device=index.device)[:, None]
+    return Answer(teacher.kinds[image, index], teacher.boxes[image, index])
 
 
 def score_distance(

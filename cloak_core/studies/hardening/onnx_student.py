@@ -14,12 +14,12 @@ from cloak_core.detectors.pixels import fit
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_bytes
 from cloak_core.files.writing import write_bytes, write_text
-from cloak_core.studies.hardening.answers import Answer, answer_of, score_distance
+from cloak_core.studies.hardening.answers import Answer, answer_of, in_the_order_of, score_distance
 from cloak_core.studies.hardening.student import Student
 
 
 class OnnxStudent(Student):
-    """A converted graph whose boxes stand in an order that its weights do not change.
+    """A converted graph, box by box; where it chooses among its boxes, each learns from the teacher's most like it.
 
     Normalisations that the file has folded into its convolutions stay folded and learn with them.
     """
@@ -39,6 +39,8 @@ class OnnxStudent(Student):
         self, said: Answer, wanted: Answer, surer: Bool[Tensor, " B"] | None, sure: float
     ) -> Float[Tensor, " B"]:
         own = self.detector
+        if own.weights.chooses:
+            wanted = in_the_order_of(said, wanted)
         return score_distance(said, wanted, own.person, own.operating_point, surer, sure)
 
     def save(self, stem: Path, seen: int) -> str:
