@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from cloak_core.core.evaluation.controls import CLOTHING
-from cloak_core.core.evaluation.measure import all_controls
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, Results, make_results
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.trials import draw_trials
@@ -40,7 +39,7 @@ def _rows(part: Part, told: Mapping, shown: Sequence[str]) -> Results:
         trials = pd.DataFrame({"pose": range(3), "background": 0, "photograph": "", "seen_from": bodies})
     else:
         settings, unseen = EvaluateSettings(**part.settings), told["materials"]["unseen"]
-        controls, bodies = all_controls(settings), unseen["poses"]
+        controls, bodies = (LOGO, *dict.fromkeys((CLOTHING, *settings.controls))), unseen["poses"]
         trials = draw_trials(len(bodies), part.angles, 1, unseen["outfits"], settings)
     score = np.zeros((1, len(controls), len(trials)), np.float32)
     score[:, controls.index(CLOTHING)] = 1
