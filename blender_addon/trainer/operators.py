@@ -51,10 +51,10 @@ class CLOAK_OT_allow(CloakOperator, label="Use What This File Names"):
     """Let the named detectors be used, as they are now, until Blender is closed"""
 
     specs: props.text("", "", options={"HIDDEN", "SKIP_SAVE"})  # a line each
-    then: props.text("", "", options={"HIDDEN", "SKIP_SAVE"})  # the operator that asked
+    then: props.text("", "", options={"HIDDEN", "SKIP_SAVE"})  # the class of the operator that asked
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return context.window_manager.invoke_props_dialog(self, width=600)
+        return context.window_manager.invoke_props_dialog(self, width=600, cancel_default=True)
 
     def draw(self, context: bpy.types.Context) -> None:
         for spec in self.specs.split("\n"):
@@ -68,7 +68,7 @@ class CLOAK_OT_allow(CloakOperator, label="Use What This File Names"):
     def run(self, context: bpy.types.Context) -> str:
         allow(self.specs.split("\n"))
         try:
-            getattr(bpy.ops.cloak, self.then.removeprefix("cloak."))("INVOKE_DEFAULT")
+            getattr(bpy.ops.cloak, self.then.removeprefix("CLOAK_OT_"))("INVOKE_DEFAULT")
         except RuntimeError as error:  # what that operator reported
             raise InputError(str(error).strip()) from None
         return ""

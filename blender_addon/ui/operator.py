@@ -63,7 +63,7 @@ class CloakOperator(bpy.types.Operator):
             message = work(*arguments)
         except InputError as error:
             if isinstance(error, Unasked) and bpy.context.window is not None and not bpy.app.background:
-                bpy.ops.cloak.allow("INVOKE_DEFAULT", specs="\n".join(error.specs), then=self.bl_idname)
+                bpy.ops.cloak.allow("INVOKE_DEFAULT", specs="\n".join(error.specs), then=type(self).__name__)
                 return {"CANCELLED"}
             self.report({"ERROR"}, said(str(error)))
             return {"CANCELLED"}

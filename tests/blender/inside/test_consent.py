@@ -58,7 +58,7 @@ def test_so_do_judges(ready, evil, operator):
 def test_a_yes_is_for_this_code(ready, evil):
     from_file(f"python:{evil}:load")
     bpy.context.scene.cloak.detectors[0].options = "640"
-    bpy.ops.cloak.allow(specs=f"python:{evil}:load@640", then="cloak.detector_check")
+    bpy.ops.cloak.allow(specs=f"python:{evil}:load@640", then="CLOAK_OT_detector_check")
     assert session.job.label == "Detector check"
     bpy.context.scene.cloak.detectors[0].threshold = 0.4
     consent.require([f"--detector={bpy.context.scene.cloak.detectors[0].full}"])
