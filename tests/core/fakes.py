@@ -1,6 +1,6 @@
 """A tiny scene and a tiny detector: everything training needs, small enough to run it hundreds of times."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -8,8 +8,11 @@ from torch import nn
 
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.logo import Logo, make_logo
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.core.source import Dealt
 from cloak_core.core.technique import Setup, Techniques
+from cloak_core.core.view import BakedView
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
@@ -65,6 +68,21 @@ def noise_backgrounds(count: int = 5) -> Backgrounds:
         np.random.default_rng(index).integers(0, 255, (height, width, 3)).astype(np.uint8)
     )
     return Backgrounds([f"noise {i}" for i in range(count)], draw)
+
+
+class MadeViews:
+    """A source that judges alone: it gives the view of the number in column `pose`, whatever is worn."""
+
+    directions, is_fresh, works_on = 1, False, torch.device("cpu")
+
+    def __init__(self, *views: BakedView, identity: str | None = None) -> None:
+        self.views, self.identity, self.members = views, identity, len(views)
+
+    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
+        raise AssertionError("nobody trains on them")
+
+    def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
+        return self.views[shown["pose"]]
 
 
 class TinyDetector(Detector):

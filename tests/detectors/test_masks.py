@@ -2,21 +2,26 @@
 
 import itertools
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
 
 from cloak_core import cli
-from cloak_core.core.detector.outcomes import OnBody, on_body, share_within
+from cloak_core.core.baking import baked_view
+from cloak_core.core.detector.outcomes import share_within
 from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.images import ImageSet
+from cloak_core.core.logo import Cover
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.defended.masks import EXPLAINED, spans
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.controls import OwnClothing
 from cloak_core.studies.clean import certified_recall
+from tests.core.fakes import MadeViews, noise_backgrounds
 from tests.detectors.helpers import write_tiny
 from tests.sources.photographs.made_people import write_people
 
@@ -98,32 +103,21 @@ def test_boxes_under_masks_that_the_whole_image_explains_are_dropped() -> None:
     assert found.boxes.shape[1] == alone.boxes.shape[1] + 36 * alone.boxes.shape[1]
 
 
-class Stills:
-    """An `EvaluationRenderer` of one person in clear view and one of whom a mask hides more than half."""
-
-    def __init__(self) -> None:
-        small = torch.full((3, SIZE, SIZE), 0.1)
-        small[:, 8:12, 8:12] = 0.9
-        self.images, self.bodies = torch.stack([person(), small]), torch.tensor([BODY, (8.0, 8.0, 12.0, 12.0)])
-        self.trials = pd.DataFrame({"pose": [0, 1]})
-        self.body_names = self.background_names = ()
-
-    views = boxes = bare = flat_views = lambda self, *_: []
-
-    def compose(self, views: object, indices: object, controls: object) -> Iterator[torch.Tensor]:
-        yield self.images
-
-    def about_person(self, found: Detections, views: object, indices: object) -> Detections:
-        return found
-
-    def on_person(self, found: Detections, views: object, indices: object) -> OnBody:
-        return on_body(found, self.bodies)
+def stills() -> ImageSet:
+    """One person in clear view and one of whom a mask hides more than half."""
+    small = torch.full((3, SIZE, SIZE), 0.1)
+    small[:, 8:12, 8:12] = 0.9
+    nothing = torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64), torch.zeros(0)
+    shown = zip((person(), small), (BODY, (8.0, 8.0, 12.0, 12.0)), strict=True)
+    views = [baked_view(*nothing, 1, image, box=box, mask=image[0] > 0.5, others=()) for image, box in shown]
+    return ImageSet(MadeViews(*views), noise_backgrounds(), (SIZE, SIZE), trials=pd.DataFrame({"pose": [0, 1]}))
 
 
 def test_certified_recall_is_the_share_found_under_every_mask() -> None:
-    told = certified_recall(defend(Fragile(), f"masked={PATCH}"), Stills(), 0.7)
+    own = OwnClothing(Cover(np.zeros(1, np.int64), "stills"))
+    told = certified_recall(defend(Fragile(), f"masked={PATCH}"), stills(), own, 0.7)
     assert told == {"certified_recall": 0.5, "certified_recall_own": 1.0, "patch": PATCH}
-    assert certified_recall(Fragile(), Stills(), 0.7) == {}, "without masks nothing is certified"
+    assert certified_recall(Fragile(), stills(), own, 0.7) == {}, "without masks nothing is certified"
 
 
 def test_it_stands_before_any_spec_and_asks_for_a_whole_number() -> None:

@@ -18,10 +18,13 @@ import pytest
 import torch
 
 from cloak_core.core.detector.protocol import detector_record
-from cloak_core.core.evaluate import content_hash
+from cloak_core.core.evaluate import identity
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.images import ImageSet
 from cloak_core.detectors.maite import is_maite_model
 from cloak_core.detectors.objects import as_detector
 from cloak_core.studies.trained_run import trained_against
+from tests.core.fakes import MadeViews, noise_backgrounds
 
 
 def answer(picture: np.ndarray, score: float = 0.5) -> list:
@@ -212,9 +215,13 @@ PAIRS = {
 }  # fmt: skip
 
 
+IMAGES = ImageSet(MadeViews(identity="known"), noise_backgrounds(1), (8, 8))
+
+
 def record_of(thing: object) -> dict:
     detector = as_detector(thing)
-    return detector_record(detector) | {"found again by": content_hash({"it": detector}, {"inputs": {"identity": 1}})}
+    found = identity(IMAGES, {}, {"it": detector}, EvaluateSettings())
+    return detector_record(detector) | {"found again by": found}
 
 
 @pytest.mark.parametrize("name", PAIRS)

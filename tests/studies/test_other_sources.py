@@ -1,7 +1,6 @@
 """Whatever makes views can be evaluated and reported: here people in photographs, which have no angle."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,43 +15,34 @@ from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import Cover
-from cloak_core.core.pattern import Pattern
-from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.evaluate import FOLDER, Shown, evaluate, read_evaluation
+from tests.core.fakes import MadeViews
 
 SETTINGS = EvaluateSettings(size=32, shift=0, resamples=100, batch=4, controls=(), bare=2)
 COVER = Cover(np.zeros(1, np.int64), "photographs")
 PATTERNS = {"logo": FacePattern(COVER, colors=np.full((1, 3), 0.2, np.float32)), "clothing": OwnClothing(COVER)}
 
 
-class Photographs:
-    """People who fill the middle of their photographs in one colour, beside a passer-by: a source that judges."""
-
-    identity, works_on = None, torch.device("cpu")
-    directions, members, is_fresh = 1, 3, False
-
-    def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
-        raise AssertionError("nobody trains on them")
-
-    def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
-        everywhere, mask = torch.arange(32 * 32), torch.zeros(32, 32, dtype=torch.bool)
-        mask[4:28, 4:28] = True
-        place = everywhere, torch.zeros(32 * 32, dtype=torch.int64), torch.ones(32 * 32)
-        people = {"box": (4, 4, 28, 28), "mask": mask, "others": ((29, 0, 32, 32),)}
-        view = baked_view(*place, 1, torch.zeros(3, 32, 32), **people)
-        return replace(view, own=torch.full((1, 3), 0.8))
+def photograph() -> BakedView:
+    """A person who fills the middle of her photograph in one colour, beside a passer-by."""
+    mask = torch.zeros(32, 32, dtype=torch.bool)
+    mask[4:28, 4:28] = True
+    worn = torch.arange(32 * 32), torch.zeros(32 * 32, dtype=torch.int64), torch.ones(32 * 32)
+    people = {"box": (4, 4, 28, 28), "mask": mask, "others": ((29, 0, 32, 32),)}
+    return replace(baked_view(*worn, 1, torch.zeros(3, 32, 32), **people), own=torch.full((1, 3), 0.8))
 
 
 def photographs() -> ImageSet:
     """Six photographs of three people; no angle, no distance, no background."""
     trials = pd.DataFrame({"pose": [0, 0, 1, 1, 2, 2], "photograph": list("uvwxyz")})
     behind = Backgrounds(["street", "square"], lambda index, height, width: np.zeros((height, width, 3), np.uint8))
-    return ImageSet(Photographs(), behind, (32, 32), "cpu", trials, ("Ada", "Bo", "Cy"), tuple(behind.names))
+    names = ("Ada", "Bo", "Cy"), tuple(behind.names)
+    return ImageSet(MadeViews(*[photograph()] * 3), behind, (32, 32), "cpu", trials, *names)
 
 
 class SeesBright(Detector):
