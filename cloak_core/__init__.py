@@ -67,7 +67,7 @@ _PLACES = {
     "InputError": "files.errors:InputError",
     "Logo": "core.logo:Logo",
     "People": "sources.photographs.people:People",
-    "RunResult": "core.loop:RunResult",
+    "RunResult": "core.training:RunResult",
     "SuccessMetric": "detectors.maite:SuccessMetric",
     "TrainSettings": "core.settings:TrainSettings",
     "as_detector": "detectors.objects:as_detector",
