@@ -26,6 +26,8 @@ def main(add_on: Path, pictures: Path, out: Path) -> None:
     for name, told in json.loads((pictures / "cloths.json").read_text("utf-8")).items():
         image = cloth.load_cloth(pictures / f"{name}.png")
         image.name = name
+        # It is packed: where it lay on the machine that builds is nobody's business.
+        image.filepath_raw = image.packed_files[0].filepath = f"//{name}.png"
         material, texture = colors.new_material(name, "ShaderNodeTexImage")
         cloth.show_on(material, texture, image, marks.PREFIX + marks.READY_CLOTH)
         texture.interpolation = "Closest"
@@ -39,7 +41,7 @@ def main(add_on: Path, pictures: Path, out: Path) -> None:
         preview.image_pixels_float.foreach_set(pixels.ravel())
         made.add(material)
     out.parent.mkdir(parents=True, exist_ok=True)
-    bpy.data.libraries.write(str(out), made, fake_user=True, compress=True)
+    bpy.data.libraries.write(str(out), made, fake_user=True)  # the extension's zip compresses it
 
 
 if __name__ == "__main__":
