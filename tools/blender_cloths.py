@@ -35,10 +35,7 @@ def main(add_on: Path, pictures: Path, out: Path) -> None:
         material.asset_mark()
         data = material.asset_data
         data.description, data.license, data.author = told["about"], "CC0-1.0", "The Cloak authors"
-        preview = material.preview_ensure()
-        preview.image_size = (PREVIEW, PREVIEW)
-        pixels = images.read_picture(pictures / f"{name}.png", cover=(PREVIEW, PREVIEW))
-        preview.image_pixels_float.foreach_set(pixels.ravel())
+        images.show_preview(material, images.read_picture(pictures / f"{name}.png", cover=(PREVIEW, PREVIEW)))
         made.add(material)
     out.parent.mkdir(parents=True, exist_ok=True)
     bpy.data.libraries.write(str(out), made, fake_user=True)  # the extension's zip compresses it
