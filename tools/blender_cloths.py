@@ -26,6 +26,8 @@ def main(add_on: Path, pictures: Path, out: Path) -> None:
     for name, told in json.loads((pictures / "cloths.json").read_text("utf-8")).items():
         image = cloth.load_cloth(pictures / f"{name}.png")
         image.name = name
+        # It is packed: where it lay on the machine that builds is nobody's business.
+        image.filepath_raw = image.packed_files[0].filepath = f"//{name}.png"
         material, texture = colors.new_material(name, "ShaderNodeTexImage")
         cloth.show_on(material, texture, image, marks.PREFIX + marks.READY_CLOTH)
         texture.interpolation = "Closest"
@@ -33,13 +35,10 @@ def main(add_on: Path, pictures: Path, out: Path) -> None:
         material.asset_mark()
         data = material.asset_data
         data.description, data.license, data.author = told["about"], "CC0-1.0", "The Cloak authors"
-        preview = material.preview_ensure()
-        preview.image_size = (PREVIEW, PREVIEW)
-        pixels = images.read_picture(pictures / f"{name}.png", cover=(PREVIEW, PREVIEW))
-        preview.image_pixels_float.foreach_set(pixels.ravel())
+        images.show_preview(material, images.read_picture(pictures / f"{name}.png", cover=(PREVIEW, PREVIEW)))
         made.add(material)
     out.parent.mkdir(parents=True, exist_ok=True)
-    bpy.data.libraries.write(str(out), made, fake_user=True, compress=True)
+    bpy.data.libraries.write(str(out), made, fake_user=True)  # the extension's zip compresses it
 
 
 if __name__ == "__main__":

@@ -14,8 +14,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import tomllib
 from pathlib import Path
+
+from stable_blend import stable
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ("files", "exchange")
@@ -26,6 +29,8 @@ LEFT_OUT = ("caching.py", "likeness.py", *UNPICKLING, "__pycache__")
 CHECKOUT = ("train.py",)
 """Of the add-on, what only a checkout has."""
 LICENCE = "# SPDX-License-Identifier: GPL-3.0-or-later\n"
+EARLIEST = time.mktime((1980, 1, 1, 0, 0, 0, 0, 0, -1))
+"""The first moment that a zip can hold, on this machine's clock."""
 BUILDER = "scripts/addons_core/bl_pkg/cli/blender_ext.py"
 
 
@@ -89,6 +94,10 @@ def stage(folder: Path) -> None:
     if site := os.environ.get("CLOAK_URL", "").rstrip("/"):
         manifest = manifest.replace('type = "add-on"\n', f'type = "add-on"\nwebsite = "{site}"\n')
     (folder / "blender_manifest.toml").write_text(manifest, "utf-8")
+    library.write_bytes(stable(library.read_bytes()))
+    for path in folder.rglob("*"):  # the same content is to be the same zip, wherever and whenever it is built
+        path.chmod(0o755 if path.is_dir() else 0o644)
+        os.utime(path, (EARLIEST, EARLIEST))
 
 
 def trainer_python() -> str:

@@ -220,6 +220,28 @@ def _squared(vectors: np.ndarray) -> np.ndarray:
     return np.einsum("...j,...j->...", vectors, vectors)
 
 
+def joined(surfaces: Sequence[Surface]) -> Surface:
+    """Several surfaces as one: their evaluated faces, and their meshes' own ones, numbered through."""
+    middle = surfaces[0].middle
+    away = [(surface.middle - middle).astype(np.float32) for surface in surfaces]
+    vertices, faces, own = (
+        np.cumsum([0, *counts])[:-1]
+        for counts in zip(*((len(s.points), len(s.centers), s.own_count) for s in surfaces), strict=True)
+    )
+    return Surface(
+        middle,
+        points=np.concatenate([s.points + step for s, step in zip(surfaces, away, strict=True)]),
+        centers=np.asfortranarray(np.concatenate([s.centers + step for s, step in zip(surfaces, away, strict=True)])),
+        normals=np.concatenate([s.normals for s in surfaces]),
+        reach_squared=np.concatenate([s.reach_squared for s in surfaces]),
+        shown=np.concatenate([s.shown for s in surfaces]),
+        corners=np.concatenate([s.corners + first for s, first in zip(surfaces, vertices, strict=True)]),
+        face=np.concatenate([s.face + first for s, first in zip(surfaces, faces, strict=True)]),
+        own=np.concatenate([np.where(s.own < 0, -1, s.own + first) for s, first in zip(surfaces, own, strict=True)]),
+        own_count=sum(s.own_count for s in surfaces),
+    )
+
+
 def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:
     """The body as it is seen now: posed, and with its modifiers' faces where they come from its own."""
     with arrays.evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):

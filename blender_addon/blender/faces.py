@@ -6,6 +6,7 @@ in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polyg
 """
 
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import bmesh
@@ -132,12 +133,14 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
     arrays.edited(obj)
 
 
-def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:
-    """Make a logo; returns its name, which gets a number where the wanted one is taken."""
-    if not mask.any():
+def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray, others: Sequence[bpy.types.Object] = ()) -> str:
+    """Make a logo; returns its name, which gets a number where the wanted one is taken, also on `others`."""
+    if not mask.any() and not others:
         raise InputError("No faces to take: select faces in Edit Mode (or stamp a picture) first")
     name = name.strip().lstrip(".") or "Logo"
-    unique = free_name(obj, f"{name} logo" if name in NOT_LOGOS else name)
+    unique = f"{name} logo" if name in NOT_LOGOS else name
+    for one in (obj, *others):
+        unique = free_name(one, unique)
     write_faces(obj, unique, mask)
     return unique
 

@@ -53,6 +53,13 @@ def new_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
     return image
 
 
+def show_preview(owner: bpy.types.ID, pixels: np.ndarray) -> None:
+    """Let an asset be shown by pixels [H, W, 4]."""
+    preview = owner.preview_ensure()
+    preview.image_size = pixels.shape[1::-1]
+    preview.image_pixels_float.foreach_set(np.ascontiguousarray(pixels).ravel())
+
+
 def save_picture(path: Path, pixels: np.ndarray) -> None:
     """Write pixels [H, W, 3 or 4] as a PNG."""
     image = new_image(path.stem, pixels)

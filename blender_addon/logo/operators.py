@@ -2,6 +2,7 @@
 """Operators of step 2, the logo."""
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -13,7 +14,7 @@ from ..blender import colors, faces
 from ..blender.blend_paths import first_free
 from ..blender.faces import read_selection
 from ..blender.marks import COLORS, HEAT, HEATMAP, layer_name, layer_of, make_layer, remove_layer
-from ..blender.mesh_arrays import current_mesh, mode_reason, read, topology
+from ..blender.mesh_arrays import current_mesh, face_count, mode_reason, read, topology
 from ..body.garments import is_dressed
 from ..body.objects import active_body, logo_reason, object_of, of_the_body, refusal, upright_reason
 from ..exchange.face_lists import write_face_list
@@ -37,13 +38,22 @@ def selected_faces(obj: bpy.types.Object) -> np.ndarray:
     return mask
 
 
-def take(obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool = False) -> str:
-    """Make a logo of a mask's faces, or with `add` put them into the active one; returns the logo's name."""
+def take(
+    obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool = False, worn: Sequence[bpy.types.Object] = ()
+) -> str:
+    """Make a logo of a mask's faces, or with `add` put them into the active one; returns the logo's name.
+
+    worn: pieces that wear it too, with faces of the mask behind the body's.
+    """
+    mask, *others = np.split(mask, np.cumsum([face_count(one) for one in (obj, *worn)])[:-1])
+    wearing = [(piece, its) for piece, its in zip(worn, others, strict=True) if its.any()]
     if add:
         name = faces.active_logo(obj)
         faces.write_faces(obj, name, mask, where=mask)
     else:
-        name = faces.new_logo(obj, name, mask)
+        name = faces.new_logo(obj, name, mask, [piece for piece, _ in wearing])
+    for piece, its in wearing:
+        faces.write_faces(piece, name, its, where=its if name in faces.logo_names(piece.data) else None)
     obj.cloak.logo = name
     return name
 

@@ -9,8 +9,9 @@ import numpy as np
 from bpy.props import FloatVectorProperty
 from mathutils import Vector
 
-from ..blender.evaluated import read_surface
+from ..blender.evaluated import joined, read_surface
 from ..blender.mesh_arrays import triangle_areas
+from ..body.garments import worn_by
 from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
 from ..ui import props
@@ -31,7 +32,7 @@ HELP = "Move: place   Wheel, + -: size   R: rotate with the mouse   Click, Enter
 
 
 class StampOperator(BodyOperator):
-    """Base: lays the stamp that is set onto the body, and makes a logo of the faces it covers."""
+    """Base: lays the stamp that is set onto the body and what it wears, and makes a logo of the faces it covers."""
 
     def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
         """Read the body and the stamp; returns the settings."""
@@ -43,7 +44,8 @@ class StampOperator(BodyOperator):
             ink, self._name = stamp.image_stamp(settings.stamp_image), Path(settings.stamp_image.name).stem
         else:
             ink, self._name = stamp.smiley_stamp(), "Smiley"
-        self._obj, self._placed = obj, Placed(read_surface(context, obj), ink)
+        self._obj, self._worn = obj, worn_by(obj)  # clothing takes the faces that it covers
+        self._placed = Placed(joined([read_surface(context, one) for one in (obj, *self._worn)]), ink)
         self.show(0.6)  # a body with subdivision takes seconds
         return settings
 
@@ -51,7 +53,7 @@ class StampOperator(BodyOperator):
         """Make the logo, or add to the active one; returns what to say."""
         mask = self._placed.own_mask(projection)
         self.show(0.9)
-        name = take(self._obj, mask, self._name, add)
+        name = take(self._obj, mask, self._name, add, self._worn)
         return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
 
 

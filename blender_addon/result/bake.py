@@ -16,13 +16,14 @@ from ..blender.cloth import show_on, worn_pixels
 from ..blender.marks import COLORS, UV_MAP, layer_name, make_uv_map, our_names
 from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, require_object_mode, triangle_corners
 from ..blender.occlusion import depth_buffer
-from ..blender.pictures import new_image
+from ..blender.pictures import image_pixels, new_image, show_preview
 from ..files.errors import InputError
 
 MARGIN = 4  # texels by which colours go on beyond the islands
 OFF = 4 / 255  # largest colour error of a face in the image
 FEW = 0.005  # share of wrong faces above which Cloak makes its own UV map
 MOST_AREA = 4.0  # unit squares: where faces overlap more, nothing of the map can be used, and it would take long
+PREVIEW = 128  # pixels along each side of an asset's, about
 FEWEST = 3  # texels along a face's square, at least
 
 
@@ -174,8 +175,10 @@ def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:
     show_on(material, texture, image, uv_map)
     material.asset_mark()
     material.asset_data.description = "Trained colours on the texture coordinates of the body they were trained on"
-    if not bpy.app.background:
-        material.asset_generate_preview()
+    # The image itself: Blender would render the material, half a minute and gigabytes without a graphics card, and an
+    # undo in the meantime waits for it.
+    step = max(1, image.size[0] // PREVIEW)
+    show_preview(material, image_pixels(image)[::step, ::step])
     return material
 
 

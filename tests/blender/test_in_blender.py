@@ -66,6 +66,11 @@ def build(out: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_built_twice_it_is_the_same_zip(extension: Path, tmp_path: Path) -> None:
+    build(tmp_path)
+    assert (tmp_path / extension.name).read_bytes() == extension.read_bytes()
+
+
 def test_a_blender_is_there() -> None:
     assert PYTHONS, "no Python with bpy: run tools/setup_blender.sh, or name some in CLOAK_BPY_PYTHONS"
 

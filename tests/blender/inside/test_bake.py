@@ -72,7 +72,9 @@ def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
     done = bake.bake(other, 256)
     assert (done.uv_map, done.off) == ("cloak.uv", 0) and done.off_before > 200
     assert other.data.uv_layers.active.name == "UV", "the user's map stays the active one"
-    nodes = bake.baked_material(done.image, done.uv_map).node_tree.nodes
+    material = bake.baked_material(done.image, done.uv_map)
+    nodes = material.node_tree.nodes
+    assert tuple(material.preview.image_size) == (128, 128), "not one that Blender renders meanwhile"
     assert [node.uv_map for node in nodes if node.bl_idname == "ShaderNodeUVMap"] == ["cloak.uv"]
 
 
