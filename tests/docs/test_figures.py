@@ -5,7 +5,7 @@ figure), record and place; `[[table]]` with page, record, and what its rows and 
 
 A place in a .json: keys, with slashes between, an element of a list by its "name". In a .md: the first cells of a row,
 then `>` and a column; the first table that has both counts. A cell's place is its row's, ` | ` and its column's;
-without the ` | ` where that begins with `>`. What a cell has in brackets is a remark.
+without the ` | ` where that begins with `>` or `/`. What a cell has in brackets is a remark.
 """
 
 import json
@@ -30,7 +30,7 @@ def cited_cells(rows: dict[str, str], columns: dict[str, str], page: str) -> lis
     (table,) = (t for t in TABLE.findall(page) if all(f"| {row} |" in t for row in rows))
     header, _, *body = map(cells, table.splitlines())
     return [
-        (row[header.index(column)].split(" (")[0], rows[row[0]] + (" " if place.startswith(">") else " | ") + place)
+        (row[header.index(column)].split(" (")[0], rows[row[0]] + {">": " ", "/": ""}.get(place[0], " | ") + place)
         for row in body
         if row[0] in rows
         for column, place in columns.items()
