@@ -12,7 +12,7 @@ from unittest import mock
 
 import torch
 
-from cloak_core.core import checkpoints, loop
+from cloak_core.core import checkpoints, training
 from cloak_core.core.checkpoints import Checkpoint, save_checkpoint
 from cloak_core.files.errors import InputError
 from cloak_core.studies.grids import SweepRun, read_grid
@@ -122,7 +122,7 @@ def train_and_die(pipe: object, out: str, moment: int) -> None:
             found = getattr(sys.modules[module], call)
             stack.enter_context(mock.patch.object(sys.modules[module], call, deadly(found)))
         # Colours are shown after every step without a checkpoint, so that their writes are met as well.
-        stack.enter_context(mock.patch.object(loop, "LIVE_SECONDS", 0.0))
+        stack.enter_context(mock.patch.object(training, "LIVE_SECONDS", 0.0))
         whole_run(Path(out))
     pipe.send(count)
 

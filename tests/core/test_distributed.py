@@ -24,7 +24,7 @@ import json, os, sys
 from pathlib import Path
 from safetensors.torch import save_file
 from cloak_core.files.errors import InputError
-from cloak_core.core import loop
+from cloak_core.core import train, training
 from tests.core.fakes import TinyDetector
 from tests.core.test_training import run
 plan = json.loads(sys.argv[1])
@@ -36,22 +36,21 @@ def say(event):
             (out / "cancel").touch()
 if os.environ["RANK"] == "1" and plan["die_at"] and os.environ["TORCHELASTIC_RESTART_COUNT"] == "0":
     # This rank vanishes in the middle of a step; not again after a restart.
-    before = loop.gradient_step
+    before = training.gradient_step
     calls = []
     def dying(*args, **kwargs):
         calls.append(1)
         if len(calls) == plan["die_at"]:
             os._exit(9)
         return before(*args, **kwargs)
-    loop.gradient_step = dying
-class Telling(loop.TrainingLoop):
+    training.gradient_step = dying
+class Telling(training.TrainingLoop):
     def run_to_end(self, stop):
         result = super().run_to_end(stop)
         if self.techniques:
             save_file(self.techniques.state(), f"{out}.rank{self.world.rank}")
         return result
-from cloak_core.core import train as training
-training.TrainingLoop = Telling
+train.TrainingLoop = Telling
 try:
     detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]
     run(out, detectors, batch=5, resume=True, threads=1, checkpoint_every=100, on_event=say, **plan["settings"])

@@ -9,6 +9,7 @@ from cloak_core.core.ensemble import Ensemble
 from cloak_core.core.losses import person_loss
 from cloak_core.core.objective import Objective
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.faces import FacePattern
 from tests.core.fakes import RenamingDetector, TinyDetector, box_bodies, front_logo, tiny_settings
 from tests.core.test_training import run
 
@@ -29,9 +30,8 @@ class Counting(TinyDetector):
 
 def objective(detectors, **changes) -> Objective:
     """Of the plain score, unless told."""
-    return Objective(
-        tiny_settings(**{"loss": "score"} | changes), front_logo(box_bodies()), detectors, torch.device("cpu")
-    )
+    pattern = FacePattern(front_logo(box_bodies()))
+    return Objective(tiny_settings(**{"loss": "score"} | changes), pattern, detectors, torch.device("cpu"))
 
 
 def by_hand(detectors) -> tuple[torch.Tensor, torch.Tensor]:

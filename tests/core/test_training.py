@@ -149,7 +149,7 @@ def test_an_existing_folder_is_left_alone(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     for resume in (False, True):
-        with pytest.raises(InputError, match=r"other: (exists already|not a run folder)"):
+        with pytest.raises(InputError, match=r"other: (exists already|not a folder of training)"):
             run(tmp_path / "other", resume=resume)
     assert [path.name for path in (tmp_path / "other").iterdir()] == ["notes.txt"]
     assert before == {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
@@ -270,7 +270,7 @@ def test_gradient_of_the_whole_chain_against_finite_differences():
 @pytest.mark.slow
 def test_the_latest_colours_are_shown_while_a_run_goes_on(tmp_path, monkeypatch):
     """Every LIVE_SECONDS, without a checkpoint; here after every step."""
-    monkeypatch.setattr("cloak_core.core.loop.LIVE_SECONDS", 0.0)
+    monkeypatch.setattr("cloak_core.core.training.LIVE_SECONDS", 0.0)
     shown = []
 
     def watch(event):

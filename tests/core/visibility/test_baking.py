@@ -8,7 +8,7 @@ import torch
 
 from cloak_core.core.baking import bake, baked_view
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.paint import Canvas, compose, true_boxes
+from cloak_core.core.paint import compose, true_boxes
 from cloak_core.core.view import BakedView, View
 from cloak_core.core.visibility.compiled import torch_alone
 
@@ -102,10 +102,11 @@ def test_a_view_of_plain_tensors_is_composited(plain: bool) -> None:
     torch.testing.assert_close(colors.grad, (inside @ dense).T, rtol=0, atol=1e-6)
 
 
-def test_a_photograph_needs_no_background() -> None:
+def test_nothing_is_seen_behind_a_view_that_is_whole() -> None:
     view, photograph, _ = made_view(None, box=(1.5, 0, 5, 4), provenance={"photograph": "a.jpg"})
-    image = Canvas.alone([view, view]).paint(torch.zeros(3, 3))
+    image = compose([view, view], torch.zeros(3, 3), torch.rand(2, 3, 4, 6))
     torch.testing.assert_close(image, photograph.expand(2, -1, -1, -1))
+    assert view.is_whole
     assert view.box == (1.5, 0, 5, 4) and view.provenance["photograph"] == "a.jpg" and view.map.height == 3
     assert true_boxes([view]).tolist() == [[1.5, 0, 5, 4]]
     mask = torch.zeros(4, 6, dtype=torch.bool)
