@@ -1,14 +1,16 @@
 """Simulate evaluations with a known success rate and count how often printed 95 % intervals cover it.
 
-`python -m tests.studies.simulated_evaluations 200 > docs/reports/intervals.md` writes the page (200 of each design).
+`python -m tests.studies.simulated_evaluations 200 > records/intervals.csv` writes the record of the report on intervals.
 """
 
 from __future__ import annotations
 
+import csv
 import itertools
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
+from typing import TextIO
 
 import numpy as np
 from jaxtyping import Bool, Int64
@@ -16,7 +18,6 @@ from scipy.optimize import brentq
 from scipy.special import expit
 from scipy.stats import beta
 
-from cloak_core.bench.records import table
 from cloak_core.core.evaluation.intervals import bootstrap_interval, cells, clustered_deviation, clustered_rate
 
 IMAGES = 336
@@ -57,7 +58,7 @@ class Draw:
 
 
 def designs() -> Iterator[Design]:
-    """Yield all designs of the published table."""
+    """Yield all designs of the published record."""
     sizes = ((4, 3, 1), (6, 12, 1), (16, 12, 1), (16, 3, 1), (8, 6, 3))
     for size, truth, sd in itertools.product(sizes, (0.9, 0.966, 0.995), (0.0, 1.0, 2.0, 3.0)):
         yield Design(*size, truth, sd, 0.0)
@@ -139,49 +140,16 @@ def least_width(bodies: int, covers: float) -> float:
     return 1 - (1 - covers) ** (1 / bodies)
 
 
-def intervals_page(repetitions: int) -> str:
-    """Simulate every design, and write the page: what was simulated, and a row for each design."""
-    results = [(design, coverage(design, repetitions)) for design in designs()]
-    lowest = {name: min(methods[name]["coverage"] for _, methods in results) for name in METHODS}
-    worst = ", ".join(f"{name} {100 * value:.0f} %" for name, value in lowest.items())
-    heads = ["bodies", "backgrounds", "seeds", "success", "sd between bodies", "never hidden"]
-    heads += [f"{name}: covers, width" for name in METHODS]
-    rows = [
-        [
-            *(f"{value:g}" for value in asdict(design).values()),
-            *(f"{100 * m['coverage']:.0f} %, {m['width']:.2f}" for m in methods.values()),
-        ]
-        for design, methods in results
-    ]
-    counts = sorted({design.bodies for design, _ in results})
-    least = ", ".join(f"{least_width(n, ASKED):.2f} with {n} bodies" for n in counts)
-    text = [
-        "# Do 95 % intervals hold?",
-        "",
-        "Evaluations with a known success rate are simulated; the table says how often the printed interval covers "
-        f"that rate, and how wide it is on average. Each of {repetitions} repetitions of a design draws "
-        f"bodies, backgrounds ({BACKGROUND_SD} logits apart) and {IMAGES} images a training. *Never hidden* "
-        "is the share of all people whom the detector always finds, whatever they wear.",
-        "",
-        f"Lowest coverage of all designs: {worst}.",
-        "",
-        "`bootstrap` is the pigeonhole bootstrap with a multiway clustered deviation, `Korn-Graubard` an exact "
-        "binomial interval at the effective sample size, `ours` what every report prints: the bootstrap's interval, "
-        "widened by what people unlike any of the tested bodies could change "
-        "(`cloak_core/core/evaluation/intervals.py`).",
-        "",
-        "The width is not caution: no method can be much narrower. Where a share q of all people is never hidden, n "
-        "tested bodies hold none of them with probability (1 - q)^n, and the evaluation looks as if everybody were "
-        f"hidden. An interval that covers {100 * ASKED:.0f} times in 100 whatever q is must then reach down to 1 - q "
-        f"for every q of which that probability exceeds {100 * (1 - ASKED):.0f} %. So at a success of 1 its width is "
-        f"at least {least}. More bodies make it narrower; more images do not.",
-        "",
-        *table(heads, rows),
-        "",
-        f"`python -m tests.studies.simulated_evaluations {repetitions}`",
-    ]
-    return "\n".join(text)
+def write_record(repetitions: int, file: TextIO) -> None:
+    """Simulate every design, and write a row of CSV for each: the design, and coverage and mean width by method."""
+    writer = csv.writer(file, lineterminator="\n")
+    measures = [(name, key) for name in METHODS for key in ("coverage", "width")]
+    writer.writerow([*(field.name for field in fields(Design)), *(f"{name} {key}" for name, key in measures)])
+    for design in designs():
+        found = coverage(design, repetitions)
+        numbers = [f"{value:g}" for value in asdict(design).values()]
+        writer.writerow([*numbers, *(f"{found[name][key]:.2f}" for name, key in measures)])
 
 
 if __name__ == "__main__":
-    print(intervals_page(int(sys.argv[1])))
+    write_record(int(sys.argv[1]), sys.stdout)
