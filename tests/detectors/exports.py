@@ -162,7 +162,7 @@ def _exports() -> dict[tuple[str, str], Export]:
 
 
 OPTIONS = {"default": {}} | {f"opset {n}": {"opset": n} for n in (11, 17, 20, 22)}
-OPTIONS |= {"dynamic": {"dynamic": True}, "half": {"half": True}, "nms": {"nms": True, "conf": 1e-6}}
+OPTIONS |= {"dynamic": {"dynamic": True}, "half": {"half": True}, "nms": {"nms": True}}
 DENSE = ("ssdlite320_mobilenet_v3_large", "retinanet_resnet50_fpn", "fcos_resnet50_fpn")
 LAYOUTS = {"Detr": ":detr", "Yolos": ":detr", "RTDetrV2": ":rtdetr", "DFine": ":rtdetr"}
 """Of random weights, whose outputs do not tell."""
@@ -219,6 +219,7 @@ def _hardens(student: OnnxStudent, path: Path) -> bool:
     with torch.no_grad(), tempfile.TemporaryDirectory() as folder:
         for weights in student.detector.weights.parameters.values():
             weights += 1e-3 * weights.std(correction=0) * torch.randn(weights.shape, generator=generator)
+            weights.copy_(weights.half())  # what files in half precision hold
         student.write(student.network.state_dict(), Path(folder), 0)
         old, new = (onnx.load(str(file)) for file in (path, Path(folder) / "hardened.onnx"))
         same = all(

@@ -81,22 +81,28 @@ def test_all_boxes_are_read_and_trained_against(bias: str, tmp_path: Path, caplo
     assert verify(detector, images(4, SIDE, SIDE))["failed"] == []
 
 
-def suppressing(path: Path, scale: float = 1.0) -> Path:
-    """Save a network that answers [1, n, 6]: the rows of all boxes, suppressed; scale: of boxes after that."""
+def suppressing(path: Path, scale: float = 1.0, least: float = 0.0, first: int = 0) -> Path:
+    """Save a network that answers [1, n, 6]: the rows of all boxes, suppressed.
+
+    scale: of boxes after that; least: score below which they are left out; first: bias of the upper left corners.
+    """
     made = Made()
     made.body()
     made.head()
     made.nodes[-1].output[0] = made.nodes[-1].name = "columns"
     for name, values in {"none": [0], "two": [2], "three": [3], "most": [KEPT], "all": [6]}.items():
         made.weight(name, np.array(values), INT)
+    made.weight("bias", np.array([first, first, 20, 20, -1, -1.0]))
+    made.weights.pop(2)  # the bias that stood there
     made.weight("iou", np.array([0.5]))
+    made.weight("least", np.array([least]))
     made.weight("scale", np.array(scale))
     made.node("Transpose", "columns", "all_rows", perm=[0, 2, 1])
     made.node("Slice", "all_rows none cut two", "corners")
     made.node("Slice", "all_rows cut all two", "classes")
     made.node("ReduceMax", "classes", "best", axes=[-1])
     made.node("Transpose", "best", "flat_best", perm=[0, 2, 1])
-    made.node("NonMaxSuppression", "corners flat_best most iou", "chosen")
+    made.node("NonMaxSuppression", "corners flat_best most iou least", "chosen")
     made.node("Slice", "chosen two three axis", "column")
     made.node("Squeeze", "column axis", "index")
     made.node("ArgMax", "classes", "kind", axis=-1)
@@ -113,6 +119,12 @@ def test_boxes_are_read_before_their_suppression(tmp_path: Path, caplog: pytest.
     batch = images(2, SIDE, SIDE)
     assert detector(batch).scores.shape == (2, 64) and bool(torch.lt(*lowers_score(detector, batch)[::-1]).all())
     assert not load_detector(f"onnx:{suppressing(tmp_path / 'n.onnx', scale=2.0)}").differentiable
+
+
+@pytest.mark.parametrize(("first", "read"), [(-90, True), (30, False)])
+def test_where_nothing_is_reported_corners_must_stand_in_their_order(first: int, read: bool, tmp_path: Path) -> None:
+    path = suppressing(tmp_path / "n.onnx", least=1.0, first=first)
+    assert load_detector(f"onnx:{path}").differentiable is read
 
 
 def test_a_person_that_is_not_chosen_still_has_a_gradient(tmp_path: Path) -> None:

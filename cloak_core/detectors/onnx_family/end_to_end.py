@@ -123,9 +123,12 @@ def _ending_in(model: onnx.ModelProto, names: tuple[str, ...]) -> onnx.ModelProt
 
 
 def _has_the_same_best(file: ModelFile, cut: ModelFile, size: tuple[int, int]) -> bool:
-    """Whether the file's best rows of sample images stand among the boxes before its choice; padding is no row."""
+    """Whether the file's best rows of sample images stand among the boxes before its choice; padding is no row.
+
+    Where the file reports nothing there: whether these are corners in their order, and probabilities.
+    """
     sessions = [Session(f.session(torch.get_num_threads()), f) for f in (file, cut)]
-    found = 0
+    found, sane = 0, True
     for image in sample_images(size).split(1):
         (rows,), (boxes, scores) = (session(image) for session in sessions)
         if rows.dim() != 3 or rows.shape[2] != 6 or boxes.shape[:2] != scores.shape[:2] or boxes.shape[2] != 4:
@@ -134,7 +137,8 @@ def _has_the_same_best(file: ModelFile, cut: ModelFile, size: tuple[int, int]) -
         if not all(_stands_in(row, boxes[0], scores[0]) for row in best):
             return False
         found += len(best)
-    return found > 0
+        sane &= bool((boxes[..., 2:] >= boxes[..., :2]).all()) and bool(((scores >= 0) & (scores <= 1)).all())
+    return found > 0 or sane
 
 
 def _stands_in(row: Tensor, boxes: Tensor, scores: Tensor) -> bool:

@@ -86,7 +86,7 @@ def end2end(outputs: Sequence[Tensor], size: Size) -> Decoded:
         return Decoded(*outputs)
     rows = outputs[0]
     number = rows[..., 5].detach().round().long()
-    count = max(COCO_CLASSES, int(number.max()) + 1)
+    count = max(COCO_CLASSES, int(number.max()) + 1) if number.numel() else COCO_CLASSES
     return Decoded(rows[..., :4], F.one_hot(number.clamp(min=0), count) * rows[..., 4:5])
 
 
