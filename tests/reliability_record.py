@@ -8,9 +8,13 @@ from pathlib import Path
 DOCS = Path(__file__).parents[1] / "docs" / "reports" / "reliability.md"
 rows: dict[str, list[tuple[str, str]]] = {}
 """By section: what was measured, and the figure."""
-HEAD = """# Reliability
+HEAD = """# Report: reliability
 
-What a run survives, and what it says when it cannot. Every figure was measured by a test, which wrote it here:
+**Question.** What does a run survive, and what does it say when it cannot?
+
+**Answer.** Kills at any moment, full disks, broken files and lost processes: the run folder stays valid, and the resumed
+run has the same bits, on the same device with the same number of threads. Every figure was measured by a test, which
+wrote it here:
 
     CLOAK_KILLS=50 CLOAK_WRITE_DOCS=1 pytest -m reliability
 

@@ -1,6 +1,6 @@
 """Simulate evaluations with a known success rate and count how often printed 95 % intervals cover it.
 
-`python -m tests.studies.simulated_evaluations 200 > records/intervals.csv` writes the record of the report on intervals.
+`python -m tests.studies.simulated_evaluations 200 > records/intervals.csv` writes the record of its report.
 """
 
 from __future__ import annotations
