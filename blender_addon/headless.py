@@ -24,7 +24,7 @@ from .exchange.scenes import read_scene
 from .files.errors import InputError, Stopped
 from .files.writing import written
 from .poses.export import export, read_export
-from .poses.poses import PoseChoice
+from .poses.poses import PoseChoice, held
 from .result import render_check
 from .trainer import command_lines
 from .trainer.command_lines import cloak_command, sample_words
@@ -243,7 +243,8 @@ def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> Non
         bpy.ops.wm.save_as_mainfile(filepath=str(options.save.absolute()), check_existing=False)
         say(f"saved {options.save}")
     preview = (options.preview or run / "blender.png").absolute()
-    render_check.render_view(obj, preview, PREVIEW_AZIMUTH, PREVIEW_SIZE, PREVIEW_SAMPLES)
+    with held(bpy.context, obj):
+        render_check.render_view(obj, preview, PREVIEW_AZIMUTH, PREVIEW_SIZE, PREVIEW_SAMPLES)
     say(f"rendered {preview}")
 
 

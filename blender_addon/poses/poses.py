@@ -150,13 +150,7 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | No
 
     play_from: go through every frame from this one on, as simulations need it, in rising order.
     """
-    scene = context.scene
-    frame, subframe = scene.frame_current, scene.frame_subframe
-    armature = armature_of(obj)
-    bones = {bone.name: bone.matrix_basis.copy() for bone in armature.pose.bones} if armature else {}
-    keys = obj.data.shape_keys
-    values = {key.name: key.value for key in keys.key_blocks} if keys else {}
-    restorers = [_animation_of(owner) for owner in _owners(obj)]
+    scene, restore = context.scene, _state_of(context, obj)
     moved, ahead = False, play_from
 
     def go(pose: Pose) -> None:
@@ -180,14 +174,44 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | No
         yield go
     finally:
         if moved:
-            for restore in restorers:
-                restore()
-            scene.frame_set(frame, subframe=subframe)
-            for name, matrix in bones.items():
-                armature.pose.bones[name].matrix_basis = matrix
-            for name, value in values.items():
-                keys.key_blocks[name].value = value
-            context.view_layer.update()
+            restore()
+
+
+@contextmanager
+def held(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[None]:
+    """During the block the body has no animation: opening and rendering a file puts back a pose that has no keys."""
+    restore = _state_of(context, obj)
+    try:
+        for owner in _owners(obj):
+            if owner.animation_data is not None:
+                owner.animation_data.action, owner.animation_data.use_nla = None, False
+        yield
+    finally:
+        restore()
+
+
+def _state_of(context: bpy.types.Context, obj: bpy.types.Object) -> Callable[[], None]:
+    """Return a function that restores the frame, and the body's animation, place and pose, with keys or without."""
+    scene, armature, keys = context.scene, armature_of(obj), obj.data.shape_keys
+    frame, subframe = scene.frame_current, scene.frame_subframe
+    movable = [one for one in (obj, armature) if one is not None]
+    movable += armature.pose.bones if armature else ()
+    places = [(one, one.matrix_basis.copy()) for one in movable]
+    values = {key.name: key.value for key in keys.key_blocks} if keys else {}
+    restorers = [_animation_of(owner) for owner in _owners(obj)]
+
+    def restore() -> None:
+        for restorer in restorers:
+            restorer()
+        scene.frame_set(frame, subframe=subframe)
+        for one, matrix in places:
+            if one.matrix_basis != matrix:  # what a matrix says of angles is not what the user typed
+                one.matrix_basis = matrix
+        for name, value in values.items():
+            keys.key_blocks[name].value = value
+        context.view_layer.update()
+
+    return restore
 
 
 def _animation_of(owner: bpy.types.ID) -> Callable[[], None]:

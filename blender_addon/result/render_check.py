@@ -25,6 +25,7 @@ from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.specs import without_folders
 from ..files.writing import write_json, written
+from ..poses.poses import held
 
 THRESHOLD = 0.6  # of checks of version 1.0 that do not say theirs
 DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
@@ -76,7 +77,8 @@ def image_paths(plan: Plan) -> list[Path]:
 def prepare(plan: Plan) -> list[str]:
     """Save a copy of the file and the plan; returns the command that renders them."""
     blend = plan.folder / BLEND
-    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False, check_existing=False)
+    with held(bpy.context, bpy.data.objects[plan.object]):
+        bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False, check_existing=False)
     write_json(plan.folder / PLAN, asdict(plan) | {"folder": str(plan.folder)})
     code = _RENDER.format(package=__package__.rpartition(".")[0], plan=str(plan.folder / PLAN))
     if bpy.app.binary_path:

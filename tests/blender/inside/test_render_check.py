@@ -14,6 +14,7 @@ from cloak.training import run_states, runs
 from conftest import folder_of, run_job
 from made import make_egg
 from test_colors import made_run
+from test_export import rig
 
 
 def pixels_of(path: Path) -> np.ndarray:
@@ -49,6 +50,21 @@ def test_the_camera_is_the_trainers(tmp_path):
     red = picture[covered].mean(0)
     assert red[0] > 0.6 and red[1] < 0.25
     assert not [s for s in bpy.data.scenes if "render" in s.name] and "cloak camera" not in bpy.data.objects
+
+
+def test_a_rigged_body_is_rendered_in_the_pose_it_stands_in_with_keys_or_without(tmp_path):
+    obj = dressed(tmp_path)
+    armature = rig(obj)
+    bone = armature.pose.bones[0]
+    bone.rotation_mode = "XYZ"
+    bone.keyframe_insert("rotation_euler", frame=1)
+    bone.rotation_euler.z = 1.2
+    plan = render_check.Plan(obj.name, tmp_path, (0,), samples=1)
+    render_check.prepare(plan)
+    assert bone.rotation_euler.z == pytest.approx(1.2) and armature.animation_data.action, "the user's stays as it is"
+    render_check.run_plan(str(tmp_path / "plan.json"))
+    body = np.abs(pixels_of(render_check.image_paths(plan)[0])[..., :3] - 0.5).max(2) > 0.1
+    assert np.ptp(np.flatnonzero(body.any(0))) > 1.5 * 416 * 0.7 / (2 * 2.2 * np.tan(np.radians(30)))
 
 
 def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
