@@ -12,9 +12,9 @@ HEAD = """# Report: reliability
 
 **Question.** What does a run survive, and what does it say when it cannot?
 
-**Answer.** Kills at any moment, full disks, broken files and lost processes: the run folder stays valid, and the resumed
-run has the same bits, on the same device with the same number of threads. Every figure was measured by a test, which
-wrote it here:
+**Answer.** Kills at any moment, full disks, broken files and lost processes: the run folder stays valid, and the
+resumed run has the same bits, on the same device with the same number of threads. Every figure was measured by a
+test, which wrote it here:
 
     CLOAK_KILLS=50 CLOAK_WRITE_DOCS=1 pytest -m reliability
 
