@@ -58,7 +58,6 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("--keep-quads", action="store_true", help="with --subdivide: do not triangulate")
     add("--frames", default="", metavar="A:B:STEP", help="frames to train on (default: the current pose)")
     add("--actions", type=int, default=0, metavar="STEP", help="train on every STEP-th frame of all actions")
-    add("--clothing", action="store_true", help="has no effect: what is visible on the body is seen")
     add("--leave-out", default="", metavar="NAMES", help="visible meshes on the body not to show the camera, A,B")
     add("--detector", default="builtin", help="as in cloak train")
     add("--backgrounds", default="", help="folder of images, or procedural")
