@@ -130,11 +130,11 @@ class Assessment:
             **self._head(),
             "white_box": [{"area": area, "faces": 0} for area in self.size.areas] if self.white_box else [],
             "black_box": {"zoo": zoo},
-            "patterns": [{"name": cloth.name} for cloth in self.clothes if not cloth.is_patch],
+            "patterns": [{"name": name} for name, pattern in self.opened if pattern.period],
             "photographs": None if self.people is None else {"left_out": {}},
             "seconds": 0.0,
         }
-        return expected_card(told, self.size, [cloth.name for cloth in self.clothes])
+        return expected_card(told, self.size, [name for name, _ in self.opened])
 
     def seconds_left(self, pace: Pace | None = None) -> tuple[float, Pace]:
         """Estimate the time of what is not done yet, and the detector's pace. pace: where it is known."""
