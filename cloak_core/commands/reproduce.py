@@ -41,7 +41,7 @@ class Reproduce(Splitting, Computing, Sharing):
     only: UseAppendAction[tuple[str, ...]] = ()
     """Make only this row, by its number or by words of its name (--list shows both), and print its figures."""
     publish: Path | None = None
-    """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
+    """Folder of records: takes the rows of everything in --out, in NAME.csv under the name of the folder --out."""
     redraw: bool = False
     """Train and evaluate nothing: draw figures again from the numbers in --out."""
     part: Internal[tuple[int, int]] = (0, 1)

@@ -72,7 +72,7 @@ class Transfer(Splitting, Detecting, Sharing):
     budget_minutes: float | None = None
     """Stop after this many minutes in all; the same command continues."""
     publish: Path | None = None
-    """Folder that takes the table and the heat map as NAME.md and NAME.png, NAME that of --out."""
+    """Folder of records: takes a row for each cell, in transfer-matrix.csv under the name of the folder --out."""
     redraw: bool = False
     """Write table and heat map again from the cells in --out; train and judge nothing."""
 
@@ -176,11 +176,12 @@ class Transfer(Splitting, Detecting, Sharing):
 
     def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
         from cloak_core.studies.report.charts import group
-        from cloak_core.studies.transfer import show, summary
+        from cloak_core.studies.transfer import publish, show, summary
 
-        files = show(cells, self.out, self.out.name, command_line())
+        name = self.out.resolve().name
+        files = [*show(cells, self.out, name), publish(cells, self.out, name, name, command_line())]
         if self.publish is not None:
-            files = show(cells, self.publish, self.out.name, command_line())
+            files.append(publish(cells, self.publish, "transfer-matrix", name, command_line()))
         ladder = {name: summary(own) for name, own in group(cells, "rung").items()}
         last = next((ladder[name] for name in reversed(asked) if name in ladder), ladder[next(reversed(ladder))])
         return last | {"rungs": ladder, "files": [str(path) for path in files]}

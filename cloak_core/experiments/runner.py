@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib import import_module
@@ -175,6 +176,7 @@ def write_numbers(folder: Path, name: str, numbers: Numbers, store: RunStore, mo
             write_text(folder / f"{key}.csv", table.to_csv(index=False, lineterminator="\r\n"))
     counts = store.options.counts() | more_counts
     config = {"command": store.options.command} | counts | store.split.record() | {"cloak": __version__} | environment()
+    config["date"] = time.strftime("%Y-%m-%d")
     write_json(folder / "config.json", config)
     measured = {"rows": numbers.rows, "thresholds": numbers.thresholds, "facts": numbers.facts, "counts": counts}
     pictures = [f"{key}.jpg" for key in numbers.pictures]

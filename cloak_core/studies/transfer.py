@@ -24,12 +24,11 @@ from cloak_core.core.logo import area_share
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
-from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import remove_leftovers, write_json, written
 from cloak_core.studies.pace import in_turn, measured_pace
 from cloak_core.studies.report.charts import group
-from cloak_core.studies.report.page import write_page
 from cloak_core.studies.report.plots import transfer_map
+from cloak_core.studies.report.records import publish_rows
 from cloak_core.studies.report.style import save_figure, style
 from cloak_core.studies.report.words import file_name, percent, short_name
 from cloak_core.studies.statistics_card import KINSHIPS, transfer_means, transfer_record
@@ -297,24 +296,30 @@ def summary(cells: Sequence[dict]) -> dict:
     return {"matrix": matrix} | transfer_means(pd.DataFrame(cells))
 
 
-def show(cells: Sequence[dict], folder: Path, name: str, command: str = "") -> list[Path]:
-    """Write NAME.png, NAME.svg and NAME.md into the folder: the heat map, and tables for documentation."""
+def show(cells: Sequence[dict], folder: Path, name: str) -> list[Path]:
+    """Write the heat map into the folder: NAME.png and NAME.svg."""
     folder.mkdir(parents=True, exist_ok=True)
-    ladder = group(cells, "rung")
     with style():
-        files = save_figure(transfer_map(ladder), folder / name)
-    values = {
-        "name": name,
-        "cells": cells,
-        "seeds": max(len(cell["by_seed"]) for cell in cells),
-        "ladder": [(ablation, own, summary(own), _judges_of(own)) for ablation, own in ladder.items()],
-        "command": without_folders(command),
+        return save_figure(transfer_map(group(cells, "rung")), folder / name)
+
+
+def publish(cells: Sequence[dict], folder: Path, table: str, study: str, command: str) -> Path:
+    """Put a row for each cell into FOLDER/TABLE.csv as a study; returns the file."""
+    steps = " / ".join(map(str, dict.fromkeys(cell["steps"] for cell in cells)))
+    made = {"command": command, "steps": steps, "seeds": max(len(cell["by_seed"]) for cell in cells)}
+    return publish_rows(folder, table, study, [_row(cell) for cell in cells], made | {"logo": cells[-1]["logo"]})
+
+
+def _row(cell: dict) -> dict:
+    """Make plain values of a cell; None for what an earlier version's does not tell."""
+    row = {"rung": cell["rung"], "judged": short_name(cell["judged"]), "kin": cell["kin"]}
+    for rate, interval in (("success", "ci95"), ("success_own", "ci95_own"), ("success_025", "ci95_025")):
+        row |= {rate: cell[rate], f"{rate}_low": cell[interval][0], f"{rate}_high": cell[interval][1]}
+    row |= {
+        key: cell.get(key) for key in ("operating_point", "renamed", "gone", "random", "clothing", "n", "cpu_seconds")
     }
-    return [*files, write_page(folder / f"{name}.md", "transfer.md", values)]
-
-
-def _judges_of(cells: Sequence[dict]) -> dict[tuple[str, ...], tuple[str, ...]]:
-    return _judges_by_surrogates((cell["judged"], tuple(cell["surrogates"])) for cell in cells)
+    lists = {"by_seed": map(str, cell["by_seed"]), "surrogates": map(short_name, cell["surrogates"])}
+    return row | {key: "; ".join(values) for key, values in lists.items()}
 
 
 def _judges_by_surrogates(pairs: Iterable[tuple[str, tuple[str, ...]]]) -> dict[tuple[str, ...], tuple[str, ...]]:

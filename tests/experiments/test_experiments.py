@@ -74,26 +74,32 @@ def test_transfer_writes_everything(split: DataSplit, finished: tuple[Path, dict
     page = make_page(out).read_text("utf-8")
     assert "Transfer between detectors" in page and "Not run yet: table1" in page
     assert 'src="http' not in page and "<script" not in page
-    config_path = folder / "config.json"
-    command = "cloak reproduce transfer --scene '/a/b-c/bodies.npz[0:4]' --detector onnx:/a/n.onnx@conf=0.4"
-    config_path.write_text(json.dumps(config | {"command": command}))
-    text = publish(out, tmp_path / "docs").read_text("utf-8")
-    assert "--scene 'bodies.npz[0:4]' --detector onnx:n.onnx@conf=0.4" in text
-    assert "## transfer: Transfer between detectors" in text and "![" in text and str(out) not in text
-    assert {p.name for p in (tmp_path / "docs").iterdir()} == {
-        "tables.md", "transfer-matrix.png", "transfer-thresholds.png"
-    }  # fmt: skip
+    assert publish(out, tmp_path) == tmp_path
+    with (tmp_path / "transfer.csv").open() as file:
+        published = list(csv.DictReader(file))
+    assert [row["success"] for row in published] == [row["success"] for row in rows]
+    assert [float(row["at_0.6"]) for row in published] == [row["success"] for row in record["rows"]]
 
 
-def test_repetitions_are_published_with_their_spread_where_it_was_kept(tmp_path: Path) -> None:
-    for name, spread in (("hardened", {}), ("table1", {"worst_seed": 0.1, "best_seed": 0.9})):
-        row = {"detector": "builtin", "success": 0.5, "low": 0.2, "high": 0.7, "n": 8, "seeds": 2} | spread
-        record = {"title": name, "words": [], "figures": [], "rows": [row], "paper": [], "counts": {}}
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "numbers.json").write_text(json.dumps(record))
-        (tmp_path / name / "config.json").write_text("{}")
-    text = publish(tmp_path, tmp_path / "docs").read_text("utf-8")
-    assert text.count("Spread over seeds") == 1 and "| builtin | 2 | 10 % | 90 % |" in text
+def test_publishing_replaces_the_rows_of_its_study_and_keeps_others(tmp_path: Path) -> None:
+    row = {"detector": "onnx:/a/n.onnx@conf=0.4", "success": 0.5, "seeds": 2}
+    record = {"title": "t", "words": [], "rows": [row, row | {"success": 0.6}], "counts": {"quick": True}}
+    for study in ("first", "second", "first"):
+        folder = tmp_path / study / "table1"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "numbers.json").write_text(json.dumps(record))
+        (folder / "config.json").write_text(json.dumps({"command": "cloak --scene '/a/b.npz[0:4]'", "torch": "2.14.1"}))
+        publish(tmp_path / study, tmp_path / "records")
+        record["rows"] = [row | {"worst_seed": None}]
+    read = lambda name: (tmp_path / "records" / name).read_text()
+    assert read("table1.csv") == (
+        "study,detector,success,seeds,worst_seed\nsecond,onnx n @conf=0.4,0.5,2,\nfirst,onnx n @conf=0.4,0.5,2,\n"
+    )
+    made = "cloak --scene 'b.npz[0:4]',2.14.1,True\n"
+    assert read("studies.csv") == f"study,command,torch,quick\ntable1/second,{made}table1/first,{made}"
+    (tmp_path / "records" / "table1.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match=r"table1.csv: not a table of studies"):
+        publish(tmp_path / "first", tmp_path / "records")
 
 
 @pytest.mark.slow
