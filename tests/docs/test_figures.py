@@ -1,13 +1,15 @@
 """Figures in prose are those of the record that they name.
 
 `docs/figures.toml` has the address of each: `[[figure]]` with page, text (it stands once on the page and ends with the
-figure), record and place; `[[table]]` with page, record, and what its rows and columns are called in the record.
+figure; points = true: in hundredths, without "%"), record and place; `[[table]]` with page, record, and what its rows
+and columns are called in the record.
 
-A place in a .json: keys, with slashes between, an element of a list by its "name". In a .md: the first cells of a row,
-then `>` and a column; the first table that has both counts. A cell's place is its row's, ` | ` and its column's;
-without the ` | ` where that begins with `>` or `/`. What a cell has in brackets is a remark.
+A place in a .json: keys, with slashes between, an element of a list by its "name". In a .csv: the first cells of a row,
+then `>` and a column. A cell's place is its row's, ` | ` and its column's; without the ` | ` where that begins with
+`>` or `/`. What a cell has in brackets is a remark.
 """
 
+import csv
 import json
 import re
 import tomllib
@@ -44,37 +46,34 @@ def figure(words: str) -> tuple[str, bool]:
     return found[1].replace(",", ""), bool(found[2])
 
 
-def recorded(path: Path, place: str) -> tuple[float, bool]:
-    """What the record says, and whether as a percentage."""
+def recorded(path: Path, place: str) -> float:
+    """What the record says."""
     if path.suffix == ".json":
         value = json.loads(path.read_text("utf-8"))
         for key in place.split("/"):
             value = next(x for x in value if x["name"] == key) if isinstance(value, list) else value[key]
-        return float(value), False
+        return float(value)
     line_start, column = place.split(" > ")
-    first, header = cells(line_start), list[str]()
-    for line in path.read_text("utf-8").splitlines():
-        row = cells(line) if line.startswith("|") else []
-        header = row if row and not header else header if row else []
-        if row[: len(first)] == first and column in header:
-            text, percent = figure(row[header.index(column)].split(" (")[0])
-            return float(text), percent
-    raise AssertionError(f"{path.name}: no row {line_start!r} with a column {column!r}")
+    first = cells(line_start)
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    row = next((row for row in rows if row[: len(first)] == first), None)
+    assert row and column in header, f"{path.name}: no row {line_start!r} with a column {column!r}"
+    return float(row[header.index(column)])
 
 
-def agrees(words: str, path: Path, place: str) -> bool:
+def agrees(words: str, path: Path, place: str, points: bool = False) -> bool:
     """Whether a figure is the record's, rounded as the figure is."""
-    (text, percent), (value, in_percent) = figure(words), recorded(path, place)
+    (text, percent), value = figure(words), recorded(path, place)
     digits = len(text.partition(".")[2])
-    value *= 100 ** (int(percent) - int(in_percent))
-    return abs(value - float(text)) <= 0.5 * 10**-digits + 1e-9
+    return abs(value * (100 if percent or points else 1) - float(text)) <= 0.5 * 10**-digits + 1e-9
 
 
 @pytest.mark.parametrize("address", ADDRESSES["figure"], ids=lambda address: address["text"][-30:])
 def test_figures_are_those_of_their_record(address: dict[str, str]) -> None:
     page = (ROOT / address["page"]).read_text("utf-8")
     assert page.count(address["text"]) == 1, "the text does not stand once on the page"
-    assert agrees(address["text"], ROOT / address["record"], address["place"])
+    assert agrees(address["text"], ROOT / address["record"], address["place"], address.get("points", False))
 
 
 @pytest.mark.parametrize("address", ADDRESSES["table"], ids=lambda address: address["page"])
@@ -91,18 +90,20 @@ def test_addresses_stay_out_of_the_pages() -> None:
 
 
 def test_a_stale_figure_is_found(tmp_path: Path) -> None:
-    of_json, of_md = tmp_path / "a.json", tmp_path / "a.md"
+    of_json, of_csv = tmp_path / "a.json", tmp_path / "a.csv"
     of_json.write_text('{"rows": [{"name": "x", "share": 0.937}], "time": 2.114}')
-    of_md.write_text("| a | b |\n|---|---|\n| x | 1 % |\n\n| a | n | c |\n|---|---|---|\n| x | 2 | 93.7 % |\n")
+    of_csv.write_text('study,a,c\nx,"1,5",0.2\nx,2,0.937\n')
     for words, record, place, stale in (
         ("2.1 ms", of_json, "time", "2.2 ms"),
         ("94 %", of_json, "rows/x/share", "93 %"),
-        ("0.94", of_md, "x | 2 > c", "0.93"),
+        ("0.94", of_csv, "x | 2 > c", "0.93"),
+        ("20 %", of_csv, "x | 1,5 > c", "0.93"),
     ):
         assert agrees(words, record, place) and not agrees(stale, record, place)
+    assert agrees("by 93.7", of_csv, "x | 2 > c", points=True)
     page = "| of | S | other |\n|---|---|---|\n| X | 0.94 (n 3) | 1 |\n| Y | 7 | 7 |\n"
     assert cited_cells({"X": "x | 2"}, {"S": "> c"}, page) == [("0.94", "x | 2 > c")]
     with pytest.raises(ValueError, match="unpack"):
         cited_cells({"Z": "x | 2"}, {"S": "> c"}, page)
     with pytest.raises(AssertionError, match="no row"):
-        agrees("1", of_md, "y > b")
+        agrees("1", of_csv, "y > c")
