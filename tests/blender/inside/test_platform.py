@@ -1,4 +1,4 @@
-"""What reviewers of extensions.blender.org look for; docs/contributing/blender-platform.md has the list in words."""
+"""What reviewers of extensions.blender.org look for; docs/contributing/blender.md has the list in words."""
 
 import ast
 import re
