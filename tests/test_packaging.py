@@ -144,7 +144,7 @@ def test_the_sources_hold_the_tests_the_documents_and_the_tools(built: Path) -> 
         names = {name.partition("/")[2] for name in archive.getnames()}
     for wanted in ("CHANGELOG.md", "CITATION.cff", "LICENSES/Apache-2.0.txt", "Makefile", "blender_manifest.toml"):
         assert wanted in names
-    for folder in ("docs", "examples", "tests", "tools", "benchmarks", "records"):
+    for folder in ("docs", "examples", "tests", "tools", "records"):
         there = {p.relative_to(ROOT).as_posix() for p in (ROOT / folder).rglob("*") if p.is_file()}
         assert {name for name in there if "__pycache__" not in name} <= names
     assert not [name for name in names if name.endswith(".pyc")]

@@ -23,7 +23,7 @@ from draw_rooms import rooms_svg
 from mistakes import mistakes_page
 
 ROOT = Path(__file__).resolve().parents[1]
-TAKEN = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "docs", "examples", "benchmarks", "records", "LICENSES")
+TAKEN = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "docs", "examples", "records", "LICENSES")
 WIDTH = "80"
 """Columns of the commands' help: what a page shows without scrolling on a desk."""
 CODE = re.compile(r"(^```.*?^```$|^    [^\n]*$|`[^`\n]*`)", re.MULTILINE | re.DOTALL)

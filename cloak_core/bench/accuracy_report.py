@@ -1,27 +1,13 @@
-"""The accuracy run as a folder: accuracy.json, a plot with the Pareto front, and tables in Markdown."""
+"""The accuracy run as a folder: accuracy.json, and a plot with the Pareto front."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from cloak_core.bench.accuracy_scenes import SCENES
-from cloak_core.bench.records import circumstances, table, with_earlier, write_record
+from cloak_core.bench.records import with_earlier
+from cloak_core.files.writing import write_json
 
-COLUMNS = {
-    "visibility_ms": "visibility, ms",
-    "new_view_ms": "new view, ms",
-    "cached_ms": "cached + gradient, ms",
-    "pose_ms": "set-up of a pose, ms",
-    "image_rms": "image RMS",
-    "coverage_rms": "coverage RMS",
-    "gradient_smooth": "gradient, smooth",
-    "gradient_white": "gradient, white",
-    "starved": "starved",
-    "image_visibility": "image RMS, visibility alone",
-    "gradient_visibility": "gradient, visibility alone",
-    "hidden": "hidden weight",
-    "given_up": "sampled, pixels",
-}
 _COLORS = {
     "ours": "tab:red", "embreex": "tab:blue", "mitsuba": "tab:green", "moderngl": "tab:purple", "open3d": "tab:orange"
 }  # fmt: skip
@@ -31,33 +17,16 @@ _ACROSS = 4
 
 
 def write_report(result: dict, folder: Path) -> dict:
-    """Write accuracy.json, accuracy.png and accuracy.md, and return what they hold.
+    """Write accuracy.json and accuracy.png, and return what they hold.
 
     Scenes that an accuracy.json of the folder holds and `result` does not are kept. Raises `InputError` where that
     file cannot be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
     result = result | {"scenes": with_earlier(folder / "accuracy.json", "scenes", result["scenes"], tuple(SCENES))}
-    write_record(folder, "accuracy", result, tables(result))
+    write_json(folder / "accuracy.json", result)
     plot(result, folder / "accuracy.png")
     return result
-
-
-def tables(result: dict) -> str:
-    """Write one table for each scene; the default setting in bold."""
-    lines = []
-    for name, scene in result["scenes"].items():
-        lines += ["", f"### {name}: {scene['triangles']:,} triangles, {scene['pixels']:,} pixels", ""]
-        place = f"{circumstances(scene)}; medians of at least {scene['repeats']}."
-        lines += [f"Reference: {scene['reference']}. {place}", ""]
-        names = [f"**{p['name']}**" if p["name"] == result["default"] else p["name"] for p in scene["points"]]
-        figures = [[_figure(point[key]) for key in COLUMNS] for point in scene["points"]]
-        lines += table(["", *COLUMNS.values()], [[name, *row] for name, row in zip(names, figures, strict=True)])
-    return "\n".join(lines[1:]) + "\n"
-
-
-def _figure(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
 
 
 def pareto(points: list[dict], error: str = "gradient_smooth") -> list[dict]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from cloak_core.bench.records import table
+from cloak_core.bench.records import write_rows
 from cloak_core.bench.step import Clock
 from cloak_core.bench.views import machine
 from cloak_core.core.detector.protocol import Detector
@@ -68,17 +68,8 @@ def _bench(
 
 
 def write_table(results: dict[str, dict[str, float]], path: Path, device: str = "cpu") -> None:
-    """Write the figures of `run_bench_detectors` as a Markdown table, with machine, versions and date."""
-    rows = []
-    for spec, figures in results.items():
-        cells = [f"{figures[key]:.1f}" if key in figures else "" for key in ("forward_ms", "gradient_ms", "naive_ms")]
-        speedup = f"{figures['speedup']:.2f}" if "speedup" in figures else ""
-        rows.append([short_name(spec), *cells, speedup])
-    columns = ["detector", "forward", "forward + input gradient", "the same, naive use", "times as fast"]
-    batch, threads = (next(iter(results.values()))[key] for key in ("batch", "threads"))
-    facts = ", ".join(f"{name} {value}" for name, value in machine(device).items())
-    head = f"Milliseconds per image, {batch} images at a time, {threads} threads; {facts}."
-    path.write_text("\n".join([head, "", *table(columns, rows), ""]), "utf-8")
+    """Write the figures of `run_bench_detectors` as CSV, a row for each detector with machine, versions and date."""
+    write_rows(path, ({"detector": short_name(spec)} | figures for spec, figures in results.items()), machine(device))
 
 
 @torch.no_grad()

@@ -22,7 +22,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from cloak_core.bench.detectors import run_bench_detectors
 from cloak_core.bench.gpu_peers import run_gpu_peers
 from cloak_core.bench.growth import sphere
-from cloak_core.bench.records import table
 from cloak_core.bench.stability_checks import cuda as compare_with_cpu
 from cloak_core.bench.step import run_bench_step
 from cloak_core.bench.views import machine, run_bench_views
@@ -230,11 +229,3 @@ def run_bench_gpu(
     if out is not None:
         write_json(Path(out), record)
     return record
-
-
-def gpu_table(record: dict) -> list[str]:
-    """Write which parts were measured, failed or were not run, as lines of Markdown."""
-    rows = [[name, "measured"] for name in record["measured"]]
-    rows += [[name, f"failed: {words}"] for name, words in record["failed"].items()]
-    rows += [[name, f"not run: {words}"] for name, words in record["not_run"].items()]
-    return table(["part", "state"], rows)

@@ -24,12 +24,13 @@ import numpy as np
 import torch
 
 from cloak_core.bench.growth_training import grow_people, grow_step
-from cloak_core.bench.records import circumstances, table, with_earlier, write_record
+from cloak_core.bench.records import with_earlier
 from cloak_core.bench.views import machine
 from cloak_core.core.cameras import Camera
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json
 from cloak_core.jobs.job import Tell
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.studies.pace import in_turn
@@ -79,8 +80,8 @@ def run_bench_growth(
     """Times, peaks and exponents of every series, or of `only` some; `tell` hears of each point and series.
 
     memory: bytes for kept views; quick: leave out the largest sizes, as `most` does those above it; people: a COCO
-    file, and its photographs' folder, of whom the people of that series are made. With `out`, also a table and the JSON
-    in that folder, after each series; series measured there earlier stay beside these.
+    file, and its photographs' folder, of whom the people of that series are made. With `out`, also growth.json in
+    that folder, after each series; series measured there earlier stay beside these.
     """
     if unknown := [name for name in only if name not in _SIZES]:
         raise InputError(f"growth: no series '{unknown[0]}'; there are {', '.join(_SIZES)}")
@@ -118,37 +119,11 @@ def exponents(points: list[dict], power: int = 1) -> dict[str, float]:
 
 
 def write_report(series: dict, folder: Path) -> dict:
-    """Write growth.json and growth.md, with what the folder held before of other series, and return it."""
+    """Write growth.json, with what the folder held before of other series, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     result = _result(with_earlier(folder / "growth.json", "series", series, _SIZES))
-    write_record(folder, "growth", result, tables(result))
+    write_json(folder / "growth.json", result)
     return result
-
-
-def tables(result: dict) -> str:
-    """Write one table for each series."""
-    lines = []
-    for name, record in result["series"].items():
-        heading = "pixels along each side" if name == "pixels" else name
-        slopes = f"time ∝ size^{record['exponent']:.2f}, memory ∝ size^{record['memory_exponent']:.2f}"
-        lines += ["", f"### {name}: {slopes}", ""]
-        lines += [f"{circumstances(record)}; budget for kept views {record['memory'] / 2**30:.3g} GiB.", ""]
-        more = [key for key in record["points"][0] if key not in ("size", "seconds", "working_mib", "peak_mib")]
-        lines += table(
-            [heading, "seconds", "held while building, MiB", "peak of the process, MiB", *map(_words, more)],
-            [
-                [f"{p['size']:,}", f"{p['seconds']:.3f}", f"{p['working_mib']:.0f}", f"{p['peak_mib']:.0f}"]
-                + [f"{p[key]:.4g}" for key in more]
-                for p in record["points"]
-            ],
-        )
-    return "\n".join(lines[1:]) + "\n"
-
-
-def _words(key: str) -> str:
-    """Head a column of further figures: step_ms becomes "step, ms"."""
-    name, _, unit = key.rpartition("_")
-    return f"{name.replace('_', ' ')}, {unit}"
 
 
 def _measured(work: Work, size: int, threads: int, memory: int) -> dict:

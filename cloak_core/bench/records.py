@@ -1,13 +1,15 @@
-"""Records of benchmark runs: what an earlier run left in a folder, and under what circumstances figures were taken."""
+"""Records of benchmark runs: what an earlier run left in a folder, and tables of rows."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import pandas as pd
+
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import write_json
+from cloak_core.files.writing import write_text
 
 
 def with_earlier(path: Path, key: str, new: dict, order: Iterable[str]) -> dict:
@@ -21,25 +23,7 @@ def with_earlier(path: Path, key: str, new: dict, order: Iterable[str]) -> dict:
     return {name: (known | new)[name] for name in order if name in known | new}
 
 
-def write_record(folder: Path, name: str, record: dict, tables: str) -> None:
-    """Write a record as NAME.json and its tables as NAME.md."""
-    write_json(folder / f"{name}.json", record)
-    (folder / f"{name}.md").write_text(tables, encoding="utf-8")
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a Markdown table."""
-    first, *others = (f"| {' | '.join(cells)} |" for cells in (head, *rows))
-    return [first, "|" + "---|" * len(head), *others]
-
-
-def circumstances(record: dict) -> str:
-    """Machine, threads, versions and date of a record, in words."""
-    machine = record["machine"]
-    versions = {"torch": machine["torch"], "Python": machine["python"]} | record.get("peers", {})
-    missing = [name for name, version in versions.items() if version.startswith("missing")]
-    words = ", ".join(f"{name} {version}" for name, version in versions.items() if name not in missing)
-    absent = f"; not installed: {', '.join(missing)}" if missing else ""
-    clock = f", {record['clock']}'s time" if "clock" in record else ""
-    cores = f"{machine['device']} ({machine['cores']} cores)"
-    return f"Measured {machine['date']} on {cores}, {record['threads']} threads{clock}; {words}{absent}"
+def write_rows(path: Path, rows: Iterable[Mapping], machine: Mapping[str, str]) -> None:
+    """Write rows of figures as CSV, the machine beside each; the keys of nested figures are joined by "_"."""
+    table = pd.json_normalize([dict(row) | dict(machine) for row in rows], sep="_")
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from cloak_core.bench.records import table
+from cloak_core.bench.records import write_rows
 from cloak_core.bench.views import chest_and_thighs, machine
 from cloak_core.core.batches import Prefetcher
 from cloak_core.core.detector.protocol import Detector
@@ -82,20 +82,10 @@ def run_bench_step(
         }
 
 
-def step_table(result: dict) -> str:
-    """Write a record of `run_bench_step` as Markdown: a line for each detector, then machine and threads."""
+def write_table(result: dict, path: Path) -> None:
+    """Write a record of `run_bench_step` as CSV, a row for each detector with machine and threads."""
     rows = [figures for figures in result.values() if isinstance(figures, dict) and "floor_ms" in figures]
-    head = ["detector", "batch", "views", "floor, ms", "step, ms", "ratio", "beside the detector, ms per image"]
-    lines = [
-        [row["name"], str(row["batch"]), row["views"], f"{row['floor_ms']:.1f}", f"{row['step_ms']:.1f}"]
-        + [f"{row['ratio']:.3f}", f"{row['overhead_ms_per_image']:.2f}"]
-        + [f"{row['parts_ms'][name]:.1f}" for name in ("next_batch", "paint", "update")]
-        + [str(row["page_faults"]["step"])]
-        for row in rows
-    ]
-    place = ", ".join(f"{key} {value}" for key, value in result["machine"].items())
-    cells = table([*head, "next batch, ms", "paint, ms", "update, ms", "page faults a step"], lines)
-    return "\n".join(cells) + f"\n\n{place}; {result['threads']} threads.\n"
+    write_rows(path, rows, result["machine"] | {"threads": str(result["threads"])})
 
 
 class Bench:

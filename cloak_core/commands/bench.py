@@ -14,7 +14,6 @@ from cloak_core.commands.options import DetectorOptions, keep_freed_memory
 from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Range
 from cloak_core.core.visibility.settings import RenderOptions
-from cloak_core.files.writing import write_text
 
 if TYPE_CHECKING:
     from cloak_core.sources.photographs.fitting import Fit
@@ -101,10 +100,10 @@ class Step(Timed):
     """Camera distance in metres; LOW:HIGH builds a fresh view for every image."""
     rendering: Annotated[OmitArgPrefixes[RenderOptions], arg(name="rendering")] = field(default_factory=RenderOptions)
     out: Path | None = None
-    """Markdown file to write the table to."""
+    """CSV file to write the table to."""
 
     def run(self) -> dict:
-        from cloak_core.bench.step import run_bench_step, step_table
+        from cloak_core.bench.step import run_bench_step, write_table
         from cloak_core.core.settings import make_settings
         from cloak_core.detectors.loading import load_detector
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
@@ -128,7 +127,7 @@ class Step(Timed):
             tell=err.print,
         )
         if self.out is not None:
-            write_text(self.out, step_table(result))
+            write_table(result, self.out)
         return result
 
     def following(self, result: dict) -> tuple[str, ...]:
@@ -159,7 +158,7 @@ class Detectors(Timed):
     """Images at once."""
     repeats: int = 9
     out: Path | None = None
-    """New Markdown file for the table."""
+    """New CSV file for the table."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
 
     def run(self) -> dict:
@@ -193,7 +192,7 @@ class Accuracy(Bench):
     repeats: int = 10
     """Timed repetitions behind each median; more where they are short."""
     out: Path | None = None
-    """Folder for tables, a plot and the numbers; scenes measured there earlier stay beside these."""
+    """Folder for the numbers and a plot; scenes measured there earlier stay beside these."""
 
     def run(self) -> dict:
         from cloak_core.bench.accuracy import run_bench_accuracy
@@ -230,7 +229,7 @@ class Growth(Bench):
     memory: float = 2.0
     """Budget for kept views, GiB."""
     out: Path | None = None
-    """Folder for a table and the numbers; series measured there earlier stay beside these."""
+    """Folder for the numbers; series measured there earlier stay beside these."""
 
     def run(self) -> dict:
         from cloak_core.bench.growth import run_bench_growth

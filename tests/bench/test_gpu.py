@@ -17,7 +17,6 @@ def test_without_a_device_every_part_is_said_to_be_not_run(tmp_path: Path, monke
     record = gpu.run_bench_gpu(out=tmp_path / "gpu.json")
     assert record["not_run"] == dict.fromkeys(gpu.PARTS, "no CUDA device") and not record["measured"]
     assert json.loads((tmp_path / "gpu.json").read_text()) == json.loads(json.dumps(record))
-    assert "\n".join(gpu.gpu_table(record)).count("not run: no CUDA device") == len(gpu.PARTS)
 
 
 def test_a_part_that_fails_is_named_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,8 @@
+import pandas as pd
 import pytest
 import torch
 
-from cloak_core.bench.step import run_bench_step, step_table
+from cloak_core.bench.step import run_bench_step, write_table
 from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.opening import load_scene
@@ -26,11 +27,12 @@ def measure(**changes):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"distance": "1.8:3"}])
-def test_the_record_holds_together(changes):
+def test_the_record_holds_together(changes, tmp_path):
     before = torch.get_num_threads()
     result = measure(**changes)
     assert torch.get_num_threads() == before
-    assert step_table(result).count("| tiny |") == 2
+    write_table(result, tmp_path / "step.csv")
+    assert pd.read_csv(tmp_path / "step.csv")["step_ms"].tolist() == [result[f"tiny:{k}"]["step_ms"] for k in (0, 1)]
     for spec in ("tiny:0", "tiny:1"):
         row = result[spec]
         assert row["batch"] == 3 and row["floor_ms"] > 0

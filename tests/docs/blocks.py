@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md"]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "records" / "README.md"]
 PAGES += [page for page in sorted((ROOT / "docs").glob("*.md")) if page.stem != "tutorial"]  # runs exactly as printed
 PAGES += sorted((ROOT / "docs" / "howto").glob("*.md"))
 REPORTS = [
