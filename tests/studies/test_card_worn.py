@@ -97,6 +97,8 @@ licence = "CC0-1.0"
 
 def test_a_pattern_folder_says_how_each_picture_is_put_on(tmp_path: Path) -> None:
     Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    with pytest.raises(InputError, match=r"lacks patterns\.toml .*put_on, metres"):
+        pattern_specs(str(tmp_path))
     (tmp_path / "patterns.toml").write_text(TABLE)
     specs = [f"{tmp_path}/white.png@tile=0.25", f"{tmp_path}/white.png@patch=0.3"]
     assert (

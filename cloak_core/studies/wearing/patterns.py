@@ -39,13 +39,16 @@ class Pattern:
 def pattern_specs(named: str) -> list[str]:
     """List the pictures of a folder with patterns.toml (or of that file), ready to wear; anything else as it is.
 
-    InputError: names file and field.
+    InputError: names file and field, or what a folder lacks that is neither one of patterns nor a run.
     """
     path = Path(named)
     if path.name == LIST:
         return [pattern.spec for pattern in read_patterns(path.parent)]
     if (path / LIST).is_file():
         return [pattern.spec for pattern in read_patterns(path)]
+    if path.is_dir() and not (path / "config.json").exists():
+        needs = f"{LIST} with a table for each picture, [name] with {', '.join(_FIELDS)}"
+        raise InputError(f"{path}: no run (no config.json), and as a folder of patterns it lacks {needs}")
     return [named]
 
 
