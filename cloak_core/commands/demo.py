@@ -130,10 +130,11 @@ class Demo(Computing):
         """Train through Blender where there is one, which also pictures the result; else directly, and say so."""
         blender = find_bpy() if SCRIPT.exists() else None
         if blender is None:
-            warn(
-                "no Blender here (tools/setup_blender.sh brings one, CLOAK_BLENDER names a Python with bpy): "
-                "training without, and no picture from it"
+            way = "CLOAK_BLENDER names a Python with bpy, tools/setup_blender.sh brings one"
+            missing = (
+                f"no Blender here ({way})" if SCRIPT.exists() else "the add-on is no part of the installed package"
             )
+            warn(f"{missing}: training without Blender, and no picture from it")
         started_directly = self.out.exists() and not self.out.with_name(f"{self.out.name}.input").exists()
         if blender is None or started_directly:
             changes = HARDER | {"steps": self.steps, "seed": self.seed, "angles": ANGLES} | vars(self.compute)

@@ -85,3 +85,13 @@ def test_events_are_told_once_and_old_ones_not_again(tmp_path: Path) -> None:
     assert [event["step"] for event in told if event["type"] == "step"] == [2]
     assert [event["step"] for event in told if event["type"] == "start"] == [0, 1]
     assert {event["type"] for event in told} == {"start", "step"}
+
+
+def test_an_installed_demo_names_no_script_of_the_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr("cloak_core.commands.demo.SCRIPT", tmp_path / "train.py")
+    monkeypatch.setattr("cloak_core.commands.demo.Train.run", lambda _: None)
+    Demo(out=tmp_path / "demo")._train(tmp_path / "logo.npy", 1)
+    said = capsys.readouterr().err
+    assert "no picture from it" in said and "tools/" not in said
