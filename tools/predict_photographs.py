@@ -6,17 +6,12 @@ COLORS are those of `cloak wear`. Each is worn by the people, and in every setti
 --scene that has its logo's mesh (a run of another mesh: by its own unseen bodies; pictures: as cloth on shirt and
 trousers of the first scene). DIR keeps what was measured, so that a stopped call goes on. DIR/correlation.json has the
 success of every texture and, for each setting, Spearman's rank correlation of its mean over the detectors with that on
-photographs, and a 95 % interval by bootstrap over textures; DIR/correlation.png draws some settings.
-
-    python tools/predict_photographs.py --draw CORRELATION.json PICTURE.png
-
-draws such a file again.
+photographs, and a 95 % interval by bootstrap over textures.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +29,6 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgroun
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.studies.evaluate import evaluate, show_bodies
 from cloak_core.studies.opening import CLOTHES, is_picture, open_pattern, open_run
-from cloak_core.studies.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_along_x, percent_axis, style
 from cloak_core.studies.trained_run import kept_back, read_run
 from cloak_core.studies.wearing.wearing import wear_and_judge
 from cloak_core.zoo.entry import run_path
@@ -48,8 +42,6 @@ RENDERS: dict[str, tuple[np.ndarray, dict]] = {
     "around, Cycles in a studio": (AROUND, {"cycles": "studio"}),
 }
 """Azimuths and what differs from the default settings of `cloak evaluate`."""
-DRAWN = ("front", "around, 208 pixels")
-"""Settings of the figure: the one that misleads most and the one to judge with."""
 RATES = ("success", "success_own")
 CONTROLS = ("clothing", "grey")
 
@@ -100,31 +92,8 @@ def rank(textures: dict[str, dict], name: str, rate: str) -> dict:
     return {"spearman": round(float(spearmanr(*pairs.T).statistic), 4), "ci95": spread}
 
 
-def draw(record: dict, path: Path) -> None:
-    """Draw success on photographs against success on renders: a point for each texture and threshold."""
-    with style():
-        figure, axes = new_figure(1.5 * WIDTH, 0.75 * WIDTH, columns=len(DRAWN))
-        for axis, name in zip(axes, DRAWN, strict=True):
-            for k, (rate, label) in enumerate(zip(RATES, ("at 0.6", "at the own thresholds"), strict=True)):
-                x, y = means(record["textures"], name, rate).T
-                axis.scatter(
-                    x,
-                    y,
-                    s=16,
-                    color=CYCLE[k],
-                    marker=MARKERS[k],
-                    label=f"{label}: rank correlation {record['rank'][name][rate]['spearman']:.2f}",
-                )
-            percent_along_x(axis, f"hidden on renders, {name}")
-            percent_axis(axis, "hidden on photographs")
-            axis.legend(loc="upper left", bbox_to_anchor=(0, 1.18))
-        figure.savefig(path, dpi=150)
-
-
 def main() -> None:
     """Measure every texture, then correlate."""
-    if sys.argv[1:2] == ["--draw"]:
-        return draw(read_json(Path(sys.argv[2])), Path(sys.argv[3]))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("colors", nargs="+")
     parser.add_argument("--people", required=True)
@@ -152,9 +121,7 @@ def main() -> None:
             print(called, {key: round(float(mean), 2) for key, mean in means.items()}, flush=True)
     ranks = {name: {rate: rank(textures, name, rate) for rate in RATES} for name in RENDERS}
     counts = {key: photographs[key] for key in ("people", "photographs")}
-    record = counts | {"rank": ranks, "textures": textures}
-    write_json(given.out / "correlation.json", record)
-    draw(record, given.out / "correlation.png")
+    write_json(given.out / "correlation.json", counts | {"rank": ranks, "textures": textures})
     for name, said in ranks.items():
         print(name, said)
 

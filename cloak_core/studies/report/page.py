@@ -1,4 +1,4 @@
-"""Build pages from templates: HTML that opens offline, every picture and plot inside and no script, and Markdown."""
+"""Build pages from templates: HTML that opens offline, every picture and plot inside and no script."""
 
 from __future__ import annotations
 
