@@ -16,7 +16,7 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.images import ImageSet
 from cloak_core.core.pattern import Pattern
 from cloak_core.studies.report.pictures import reported, to_pil
-from cloak_core.studies.report.style import INK, style
+from cloak_core.studies.report.style import style
 
 BOX = "#e0341c"
 INCHES, LINE, DPI = 1.6, 0.2, 150
@@ -44,7 +44,7 @@ def draw_sheet(rows: Mapping[str, Sequence[Picture]]) -> Image.Image:
                 axis.spines[:].set_visible(False)
             for axis, (image, text, boxes) in zip(axes, pictures, strict=False):
                 axis.imshow(image)
-                axis.set_xlabel(text, color=BOX if boxes else INK, fontsize=8)
+                axis.set_xlabel(text, fontsize=8)
                 for x1, y1, x2, y2, _ in boxes:
                     axis.add_patch(Rectangle((x1, y1), x2 - x1, y2 - y1, fill=False, color=BOX))
         canvas = FigureCanvasAgg(figure)

@@ -26,7 +26,8 @@ COLORS = ((224, 52, 28), (30, 110, 220), (20, 150, 80), (190, 60, 190), (230, 15
 SHEET_PEOPLE = 12
 TILE, CAPTION, TITLE, HEAD = 240, 22, 26, 50
 """Of the sheet, pixels: a picture's side, the strip below it, the line above a row, and that above all."""
-FOUND, HIDDEN = (176, 58, 36), (26, 122, 70)
+FOUND, HIDDEN = (26, 122, 70), (176, 58, 36)
+"""As on a card: green is a detector that is right, red a person who is hidden from it."""
 ROWS = {
     CLOTHING: "own clothing, the photograph as it is",
     "grey": "grey all over the clothes",
@@ -52,7 +53,7 @@ class Album:
         step = max(1, len(people) // SHEET_PEOPLE)
         self._shown = list(range(0, len(people), step))[:SHEET_PEOPLE]
         self._tiles: dict[str, dict[int, Image.Image]] = {}
-        self._hidden: dict[str, list[int]] = {}
+        self._scores: dict[str, list[float | None]] = {}
 
     def add(self, clothes: str, person: int, image: Image.Image, boxes: pd.DataFrame) -> None:
         """Write one image, with each detector's boxes in a colour of its own; boxes: as in `Results.boxes`."""
@@ -63,11 +64,11 @@ class Album:
             place = self._folder / "pictures" / file_name(self._people[person])
             place.mkdir(parents=True, exist_ok=True)
             save_picture(place / f"{name}.jpg", picture, quality=90)
+        # Boxes and scores are drawn at the sheet's own size: shrunk with the picture nobody could read them.
+        tile = image.resize((TILE, TILE), Image.Resampling.LANCZOS)
+        best = self._draw_boxes(tile, boxes, TILE / image.width)
+        self._scores.setdefault(clothes, []).extend(best)
         if person in self._shown:
-            # Boxes and scores are drawn at the sheet's own size: shrunk with the picture nobody could read them.
-            tile = image.resize((TILE, TILE), Image.Resampling.LANCZOS)
-            best = self._draw_boxes(tile, boxes, TILE / image.width)
-            self._hidden.setdefault(clothes, []).append(sum(score is None for score in best))
             self._tiles.setdefault(clothes, {})[person] = _captioned(tile, best)
 
     def add_all(self, clothes: str, people: np.ndarray, images: Float[Tensor, "B 3 H W"], boxes: pd.DataFrame) -> None:
@@ -95,10 +96,12 @@ class Album:
         sheet = Image.new("RGB", (max(TILE * len(self._shown), 720), HEAD + height * len(self._tiles)), PAPER)
         draw = ImageDraw.Draw(sheet)
         self._write_head(draw)
+        count = len(self._people)
+        whose = "" if count == len(self._shown) else f" ({count} people judged, {len(self._shown)} of them shown)"
         for row, (name, tiles) in enumerate(self._tiles.items()):
             top = HEAD + row * height
-            hidden, asked = sum(self._hidden[name]), len(self._hidden[name]) * len(self._thresholds)
-            words = f"{ROWS.get(name, name)}: hidden in {hidden} of {asked}"
+            scores = self._scores[name]
+            words = f"{ROWS.get(name, name)}: hidden in {scores.count(None)} of {len(scores)}{whose}"
             draw.text((6, top + 4), words, INK, font(15, bold=True))
             for column, person in enumerate(self._shown):
                 if person in tiles:
@@ -118,7 +121,7 @@ class Album:
 
 
 def _captioned(tile: Image.Image, best: Sequence[float | None]) -> Image.Image:
-    """Put below a picture whether she is found or hidden, on green where no detector finds her."""
+    """Put below a picture whether she is found or hidden, on red where no detector finds her."""
     found = [score for score in best if score is not None]
     words = "hidden" if not found else f"found {max(found):.2f}"
     if len(best) > 1 and found and len(found) < len(best):
