@@ -85,6 +85,9 @@ def read_names(path: Path) -> tuple[str, ...]:
 
 NAMES = ("classes", "names", "class_names", "labels")
 CONFIDENCE = ("confidence", "conf", "conf_thres", "score_threshold")
+LICENCE = ("licence", "license")
+UNDERSTOOD = (*NAMES, *CONFIDENCE, *LICENCE, "person_class", "input", "output", "layout")
+"""Keys of a description that `read_description` reads."""
 _log = logging.getLogger("cloak")
 
 
@@ -100,13 +103,15 @@ class Description:
     confidence: float | None = None
     """The score above which it is said to report a box."""
     pixels: PixelFormat | None = None
+    licence: str | None = None
 
 
 def read_description(path: Path) -> Description:
     """Read NAME.json beside NAME.SUFFIX, as far as it is understood; nothing where there is none.
 
     Understood: `classes` (or names, class_names, labels: a list, or {"0": NAME}), `person_class` (an index or a name),
-    `confidence` in (0, 1), `output.layout`, and `input` with `channels` (RGB or BGR), `range` and `normalisation`.
+    `confidence` in (0, 1), `licence`, `output.layout`, and `input` with `channels` (RGB or BGR), `range` and
+    `normalisation`.
     """
     beside = path.with_suffix(".json")
     if beside == path or not beside.is_file():
@@ -125,7 +130,13 @@ def read_description(path: Path) -> Description:
         layout if isinstance(layout, str) else None,
         confidence_of(said),
         _pixels(inputs),
+        licence_of(said),
     )
+
+
+def licence_of(said: Mapping[str, object]) -> str | None:
+    """Find the licence that is said, as one line; None where none is."""
+    return next((" ".join(word.split()) for key in LICENCE if isinstance(word := said.get(key), str)), None) or None
 
 
 def names_of(said: object) -> tuple[str, ...] | None:

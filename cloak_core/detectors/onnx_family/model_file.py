@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloak_core.detectors.classes import Description, confidence_of, names_of, read_description
+from cloak_core.detectors.classes import Description, confidence_of, licence_of, names_of, read_description
 from cloak_core.detectors.specs import check_size
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
@@ -62,6 +62,8 @@ class ModelFile:
     """Names of its first nodes that compute in integers."""
     suppresses: str
     """Name of a node that suppresses boxes; "" for none."""
+    licence: str | None
+    """As the file itself says, or else the JSON file beside it."""
     before_choice: bool = False
     """The outputs are all boxes and scores of an end-to-end export, before it chooses the best."""
 
@@ -105,6 +107,7 @@ def read_model(path: Path) -> ModelFile:
     if shape[0] not in (1, None):
         raise InputError(f"{path}: its batch is fixed to {shape[0]} images; export it for one, or for any number")
     said = {entry.key: entry.value for entry in model.metadata_props}
+    described = read_description(path)
     return ModelFile(
         path=path,
         model=model,
@@ -118,9 +121,10 @@ def read_model(path: Path) -> ModelFile:
         fixed_size=all(sides),
         names=names_of(_literal(said, "names")),
         confidence=confidence_of(said),
-        described=read_description(path),
+        described=described,
         quantised=tuple(_named(model, lambda kind: kind in QUANTISED))[:3],
         suppresses=next(_named(model, lambda kind: "NMS" in kind or kind == "NonMaxSuppression"), ""),
+        licence=licence_of(said) or described.licence,
     )
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cloak_core.detectors.classes import COCO, VOC, names_beside
+from cloak_core.detectors.classes import COCO, UNDERSTOOD, VOC, Description, names_beside
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
 from cloak_core.detectors.onnx_family.model_file import read_model, read_proto
 from cloak_core.detectors.pixels import fit
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_bytes
-from cloak_core.files.writing import write_bytes, write_text
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_bytes, write_json, write_text
 from cloak_core.studies.hardening.answers import Answer, answer_of, in_the_order_of, score_distance
 from cloak_core.studies.hardening.student import Student
 
@@ -50,16 +51,27 @@ class OnnxStudent(Student):
         if digest != self.teacher.source["file"]:
             raise InputError(f"{path}: changed since it was loaded; the hardened weights are in the checkpoint")
         self.detector.weights.write_into(original)
-        write_bytes(target, original.SerializeToString())
-        self._copy_description(target)
+        data = original.SerializeToString()
+        write_bytes(target, data)
+        self._describe(target, {"file": target.name, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()})
         layout = ":".join(self.request.parts[1:])
         return f"onnx:{target}{layout and f':{layout}'}{self.options}"
 
-    def _copy_description(self, target: Path) -> None:
-        """Write beside the new file what was said beside the old one: a description, or names of classes."""
+    @property
+    def licence(self) -> str:
+        """See `Student.licence`."""
+        said = read_model(self.detector.path).licence
+        return said or f"unknown; {self.detector.path.name} does not say, ask those who made it"
+
+    def _describe(self, target: Path, facts: dict[str, object]) -> None:
+        """Write beside the new file its facts, with what was said beside the old one and holds on, or names of classes.
+
+        What was measured of the old file is left out.
+        """
         file, described = read_model(self.detector.path), self.detector.path.with_suffix(".json")
-        if described.is_file():
-            write_bytes(target.with_suffix(".json"), read_bytes(described))
+        if file.described != Description():
+            holds = {key: value for key, value in read_json(described).items() if key in UNDERSTOOD}
+            write_json(target.with_suffix(".json"), facts | {"made_from": self.spec} | holds)
         names = self.detector.class_names
         if names and not file.names and not file.described.names:
             beside = names_beside(self.detector.path, len(names))

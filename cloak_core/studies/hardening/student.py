@@ -93,6 +93,11 @@ class Student(ABC):
         write_text(folder / f"{NAME}.licence.txt", self._licence(spec))
         return spec
 
+    @property
+    def licence(self) -> str:
+        """Of what is hardened, as far as that is known."""
+        return FAMILIES[self.request.family].licence
+
     def _licence(self, spec: str) -> str:
         names = [f"{NAME}{ending}" for ending in self.files]
         were, theirs, they, them = (
@@ -100,6 +105,6 @@ class Student(ABC):
         )
         return (
             f"{' and '.join(names)} {were} made from the detector {self.spec} by `cloak harden`.\n"
-            f"{theirs} licence is that of what {they} made from: {FAMILIES[self.request.family].licence}.\n"
+            f"{theirs} licence is that of what {they} made from: {self.licence}.\n"
             f"Load {them} as {spec}\n"
         )

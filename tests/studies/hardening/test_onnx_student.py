@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -241,6 +242,26 @@ def test_what_was_said_beside_the_file_stands_beside_the_new_one(tmp_path: Path)
     (tmp_path / "m.names").write_text("cat\nperson\n")
     detector = load_detector(written(open_student(f"onnx:{path}@stretch"), tmp_path / "out"))
     assert (detector.person, detector.operating_point, detector.letterbox) == (1, 0.4, False)
+
+
+@pytest.mark.parametrize(
+    ("inside", "beside", "named"),
+    [("AGPL-3.0 License", "CC0", "AGPL-3.0"), ("", "weights: AGPL-3.0", "AGPL-3.0"), ("", None, "unknown")],
+)
+def test_licence_and_sidecar_are_those_of_the_file_that_was_hardened(
+    inside: str, beside: str | None, named: str, tmp_path: Path
+) -> None:
+    made = Made()
+    plain(made)
+    path = made.save(tmp_path / "m.onnx", **({"license": inside} if inside else {}))
+    old = {"file": "m.onnx", "sha256": "of the old", "verified": {"max_diff": 0}, "confidence": 0.4, "licence": beside}
+    (tmp_path / "m.json").write_text(json.dumps(old))
+    written(open_student(f"onnx:{path}"), tmp_path / "out")
+    licence = (tmp_path / "out" / "hardened.licence.txt").read_text()
+    assert named in licence and "MIT" not in licence and "CC0" not in licence
+    said, data = (json.loads((tmp_path / "out" / "hardened.json").read_text()), tmp_path / "out" / "hardened.onnx")
+    assert said["sha256"] == hashlib.sha256(data.read_bytes()).hexdigest() and said["file"] == "hardened.onnx"
+    assert said["confidence"] == 0.4 and "verified" not in said
 
 
 def test_a_student_learns_what_its_teacher_says(tmp_path: Path) -> None:
