@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cloak_core.commands.base import load_scene, out
+from cloak_core.commands.base import load_scene, out, warn
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.files.errors import InputError
@@ -98,7 +98,13 @@ class Harden(Computing):
 
     def _planned(self, student: Student, material: Material) -> HardenSettings:
         """Settings with the counts that --hours asks for; those of the record where a hardening goes on."""
-        from cloak_core.studies.hardening.planning import measure_pace, plan, planned_words, recorded_plan
+        from cloak_core.studies.hardening.planning import (
+            measure_pace,
+            plan,
+            planned_words,
+            recorded_plan,
+            too_few_words,
+        )
 
         if self.hours is None:
             return self.settings
@@ -108,6 +114,8 @@ class Harden(Computing):
             pace = measure_pace(self.settings, student, material, progress)
         settings = plan(self.settings, pace, self.hours)
         out.print(planned_words(settings, pace, self.hours))
+        if words := too_few_words(settings, pace):
+            warn(words)
         return settings
 
     def _cards(self, spec: str) -> dict:

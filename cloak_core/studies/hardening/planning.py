@@ -13,16 +13,17 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.studies.hardening.folder import Material
 from cloak_core.studies.hardening.hardening import harden
-from cloak_core.studies.hardening.pool import SLOTS
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 
 TRIED = 3
-"""Turns that are timed."""
+"""Updates that are timed, after a first."""
 KEPT_BACK = 0.05
 """Share of the time for checkpoints and writing."""
 LEAST_STEPS = 50
 """Updates below which nothing is hardened."""
+HELD = 480, 2800
+"""Fewest and most updates with which a detector of docs/hardening.md withstood cloaks."""
 
 
 def plan(settings: HardenSettings, pace: float, hours: float) -> HardenSettings:
@@ -45,11 +46,11 @@ def measure_pace(
 ) -> float:
     """Measure the seconds that an update takes with all that belongs to it. Arguments as for `harden`.
 
-    A few updates run in a temporary folder, and the student is set back afterwards. They are rather slow ones, because
-    the first updates have to render their views.
+    A few updates run in a temporary folder, and the student is set back afterwards: the learning rate of each hangs on
+    how many there will be, so that they are no beginning of what is planned.
     """
     before = {name: value.clone() for name, value in student.network.state_dict().items()}
-    few = replace(settings, steps=SLOTS + 1 + TRIED, max_seconds=None)
+    few = replace(settings, steps=1 + TRIED, max_seconds=None)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tried"
         try:
@@ -59,7 +60,7 @@ def measure_pace(
         if tried.stopped:
             raise KeyboardInterrupt  # nothing was begun yet
         ends = [event["time"] for event in read_events(out / "events.jsonl") if event["type"] == "step"]
-    return statistics.median([later - earlier for earlier, later in itertools.pairwise(ends)][-TRIED:])
+    return statistics.median([later - earlier for earlier, later in itertools.pairwise(ends)])
 
 
 def recorded_plan(settings: HardenSettings, out: Path) -> HardenSettings:
@@ -71,5 +72,15 @@ def recorded_plan(settings: HardenSettings, out: Path) -> HardenSettings:
 
 
 def planned_words(settings: HardenSettings, pace: float, hours: float) -> str:
-    """Say what a plan does, in one line."""
-    return f"--hours {hours:g}: {settings.steps} updates of {pace:.2g} s ({settings.steps * pace / 60:.0f} min)"
+    """Say what a plan does and what it is worth, in one line."""
+    least, most = HELD
+    planned = f"--hours {hours:g}: {settings.steps} updates of {pace:.2g} s ({settings.steps * pace / 60:.0f} min)"
+    return f"{planned}; detectors that withstood cloaks had {least} to {most}"
+
+
+def too_few_words(settings: HardenSettings, pace: float) -> str:
+    """Warn, in one line, of a plan that is shorter than any that held; "" where it is not."""
+    least = HELD[0]
+    hours = least * pace / (1 - KEPT_BACK) / 3600
+    few = f"{settings.steps} updates are fewer than any detector withstood cloaks with: {least} take {hours:.2g} hours"
+    return few if settings.steps < least else ""
