@@ -82,6 +82,7 @@ def _evaluation(stored: StoredEvaluation) -> dict:
         "detectors": [_on_bodies(stored, spec) for spec in specs],
         "controls": list(stored.results.controls),
         "gallery": gallery,
+        "shown_at": _shown_at(stored, specs),
         "columns": max([3, *(len(pairs) for _, pairs in gallery)]),  # fewer would be larger than they were rendered
         "strip": _label(strip) | {"images": images},
         "flat": {side: data_uri(folder / Path(name).name) for side, name in pictures["flat"].items()},
@@ -110,6 +111,7 @@ def _photographs(stored: StoredEvaluation) -> dict:
         "size": summary["settings"]["size"],
         "unseen": summary["unseen"].get("photographs"),
         "detectors": detectors,
+        "shown_at": _shown_at(stored, specs),
         "gallery": [_pair(folder, specs, pair) for pair in pictures["gallery"]],
         "strip": {control: shot(folder, specs, picture) for control, picture in images.items()},
     }
@@ -131,7 +133,7 @@ def _on_bodies(stored: StoredEvaluation, spec: str) -> dict:
 def _detector(stored: StoredEvaluation, spec: str) -> dict:
     """Prepare what is shown of any detector that judged."""
     results, summary = stored.results, stored.summary
-    logo = results.rows(spec, results.controls[0])
+    logo, at = results.rows(spec, results.controls[0]), _thresholds(stored)[spec]
     failures = stored.pictures["failures"].get(spec, [])
     return {
         "spec": spec,
@@ -140,9 +142,23 @@ def _detector(stored: StoredEvaluation, spec: str) -> dict:
         "false_alarms": summary["false_alarms"][spec],
         "bare": len(results.rows(spec, NOBODY)),
         "failures": [_pair(stored.folder / "pictures", [spec], pair) for pair in failures],
-        "failed": int((~hidden(logo, summary["settings"]["threshold"])).sum()),
+        "at": at,
+        "failed": int((~hidden(logo, at)).sum()),
         "hash": summary["inputs"]["detector_hashes"][spec],
     }
+
+
+def _thresholds(stored: StoredEvaluation) -> dict[str, float]:
+    """Give what the pictures are shown at: the detectors' own; in earlier evaluations the one that was asked for."""
+    asked = dict.fromkeys(stored.summary["detectors"], stored.summary["settings"]["threshold"])
+    return stored.pictures.get("thresholds", asked)
+
+
+def _shown_at(stored: StoredEvaluation, specs: list[str]) -> str:
+    """Say above which score each detector's boxes are drawn."""
+    points = _thresholds(stored)
+    named = (f"{points[spec]:g} ({words.short_name(spec)})" for spec in specs)
+    return ", ".join(named) if len(set(points.values())) > 1 else f"{points[specs[0]]:g}"
 
 
 def _pair(folder: Path, specs: list[str], pair: dict) -> dict:

@@ -244,7 +244,7 @@ def write_evaluation(
         (temporary / "pictures").mkdir()
         threshold = summary["settings"]["threshold"]
         place = temporary / "pictures"
-        pictures = write_pictures(place, shown.images, shown.patterns, results, detectors, threshold)
+        pictures = write_pictures(place, shown.images, shown.patterns, results, detectors)
         pictures |= shown.draw_more(place, pictures["controls"]["trial"], detectors, threshold)
         write_json(temporary / "pictures.json", pictures)
         results.save(temporary / "scores.npz")

@@ -95,7 +95,7 @@ def make_pictures(folder: Path, results: Results) -> dict:
         c = CONTROLS.index(control)
         Image.new("RGB", (416, 416), (60 + 40 * c, 120, 100 + trial % 100)).save(folder / name)
         scores = {spec: float(results.scores(spec, control)[trial]) for spec in results.detectors}
-        boxes = {spec: [[120.0, 40.0, 280.0, 400.0, s]] if s > 0.6 else [] for spec, s in scores.items()}
+        boxes = {spec: [[120.0, 40.0, 280.0, 400.0, s]] if s > 0.3 else [] for spec, s in scores.items()}
         return {"file": name, "scores": scores, "boxes": boxes}
 
     def label(trial: int) -> dict:
@@ -112,6 +112,7 @@ def make_pictures(folder: Path, results: Results) -> dict:
     worst = [int(i) for i in np.argsort(-score)[:6] if score[i] > 0.6]
     Image.new("RGBA", (120, 300), (200, 40, 90, 255)).save(folder / "flat.png")
     return {
+        "thresholds": dict.fromkeys(results.detectors, 0.3),
         "gallery": [pair(t) for t in range(0, len(results.trials), 4)],
         "failures": {spec: [pair(t) for t in worst] for spec in results.detectors},
         "worst": {spec: [pair(worst[0]) | {"success": 0.25}] for spec in results.detectors},

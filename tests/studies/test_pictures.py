@@ -5,10 +5,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from cloak_core.products.run_report import make_report
-from cloak_core.studies.report.pictures import ANGLES, BODIES, WORST, failure_trials, gallery_trials, worst_trials
+from cloak_core.studies.report.pictures import (
+    ANGLES,
+    BODIES,
+    WORST,
+    failure_trials,
+    gallery_trials,
+    worst_trials,
+    write_shot,
+)
 from cloak_core.studies.report.plots import success_by_body
+from tests.core.fakes import RedDetector
 from tests.studies.made_evaluation import made_results, write_run
 
 MANY = tuple(f"pose {i:03}" for i in range(60))
@@ -48,6 +58,15 @@ def test_the_worst_ten_in_order_each_in_its_surest_image() -> None:
     assert score[0, 0, worst[1][0]] == np.float32(0.97) and failure_trials(rows, 0.6)[0] == worst[1][0]
     score[:] = 0.9
     assert len(worst_trials(made_results(bodies=MANY, score=score).rows("builtin", "logo"), 0.6)) == WORST == 10
+
+
+def test_a_picture_has_the_boxes_above_each_detectors_own_threshold(tmp_path: Path) -> None:
+    low, high = RedDetector(), RedDetector()
+    image = torch.full((1, 3, 32, 32), 0.5)
+    score = write_shot(tmp_path / "a.jpg", image, {"low": low})["scores"]["low"]
+    low.operating_point, high.operating_point = score - 0.1, score + 0.1
+    boxes = write_shot(tmp_path / "b.jpg", image, {"low": low, "high": high})["boxes"]
+    assert boxes["low"] and not boxes["high"]
 
 
 @pytest.mark.long

@@ -80,6 +80,9 @@ def test_report_opens_offline_and_says_what_was_measured(tmp_path: Path) -> None
         "cd" * 32,
     ):
         assert shown in text
+    failed = int((made_results().scores("builtin", "logo") > 0.3).sum())
+    assert "A box is a person found above 0.3" in text  # what pictures.json was made at, not the asked 0.6
+    assert f"still finds a person above 0.3 in {failed} of" in text
     assert text.count("data:image/jpeg") >= 2 * 15 + 4
     assert "not been evaluated" not in text
 

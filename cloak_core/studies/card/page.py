@@ -166,16 +166,14 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
         if part == "clean":
             rows, bare = results[part].rows(spec, CLOTHING), results[part].rows(spec, NOBODY)
             for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
-                shots = draw_trial(place, images, {CLOTHING: patterns[CLOTHING]}, trial, detectors, own)
+                shots = draw_trial(place, images, {CLOTHING: patterns[CLOTHING]}, trial, detectors)
                 found["missed"].append(describe(images, trial) | shots)
             for index in first_by(bare[~hidden(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
-                shot = write_shot(place / f"bare-{index:05d}.jpg", images.bare([index]), detectors, own)
+                shot = write_shot(place / f"bare-{index:05d}.jpg", images.bare([index]), detectors)
                 found["alarms"].append({"background": images.background_names[index], "bare": shot})
         else:
             if part in paired:
-                found["hidden"][part] = [
-                    draw_pair(place, images, patterns, trial, detectors, own) for trial in trials[part]
-                ]
+                found["hidden"][part] = [draw_pair(place, images, patterns, trial, detectors) for trial in trials[part]]
             flat = flat_views(store.split.unseen, worn.pattern, FLAT)
             views = {side: rgba for side, rgba in flat.items() if side in SIDES}
             flat = {side: write_flat(place, side, rgba) for side, rgba in views.items()}

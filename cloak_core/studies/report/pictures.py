@@ -42,26 +42,27 @@ def write_pictures(
     patterns: Mapping[str, Pattern],
     results: Results,
     detectors: Mapping[str, Detector],
-    threshold: float,
 ) -> dict:
     """Write an evaluation's pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
 
-    `gallery`: the images of `gallery_trials`, in own clothing and cloaked;
-    `failures`: per detector, the cloaked images with the highest scores above the threshold; `worst`: per detector, of
-    the bodies that the cloak hides least often the image with the highest score, and its success; `controls`: one image
-    in every pattern.
+    `thresholds`: each detector's own, by which all of these go; `gallery`: the images of `gallery_trials`, in own
+    clothing and cloaked; `failures`: per detector, the cloaked images with the highest scores above it; `worst`: per
+    detector, of the bodies that the cloak hides least often the image with the highest score, and its success;
+    `controls`: one image in every pattern.
     """
-    pair = lambda trial: draw_pair(folder, images, patterns, trial, detectors, threshold)
+    pair = lambda trial: draw_pair(folder, images, patterns, trial, detectors)
     trials = complete(images.trials)
     shown = gallery_trials(trials)
     middle = shown[len(shown) // (2 * trials.loc[shown, "pose"].nunique())]
-    controls = draw_trial(folder, images, patterns, middle, detectors, threshold)
+    controls = draw_trial(folder, images, patterns, middle, detectors)
     failures, worst = {}, {}
-    for spec in results.detectors:
+    thresholds = _own(detectors)
+    for spec, threshold in thresholds.items():
         rows = results.rows(spec, LOGO)
         failures[spec] = [pair(trial) for trial in failure_trials(rows, threshold)]
         worst[spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
     return {
+        "thresholds": thresholds,
         "gallery": [pair(trial) for trial in shown],
         "failures": failures,
         "worst": worst,
@@ -129,11 +130,10 @@ def draw_pair(
     patterns: Mapping[str, Pattern],
     trial: int,
     detectors: Mapping[str, Detector],
-    threshold: float,
 ) -> dict:
     """Write one trial in own clothing and cloaked; return what the pictures show and what is found in them."""
     pair = {name: patterns[name] for name in (CLOTHING, LOGO)}
-    return describe(images, trial) | draw_trial(folder, images, pair, trial, detectors, threshold)
+    return describe(images, trial) | draw_trial(folder, images, pair, trial, detectors)
 
 
 @torch.no_grad()
@@ -143,24 +143,23 @@ def draw_trial(
     patterns: Mapping[str, Pattern],
     trial: int,
     detectors: Mapping[str, Detector],
-    threshold: float,
 ) -> dict[str, dict]:
-    """Write one trial in these patterns; return by pattern the file and what each detector reports of its person."""
+    """Write one trial in these patterns; return by pattern the file and what each detector, at its own threshold,
+    reports of its person."""
     views = images.views([trial], next(iter(patterns.values())))
     shots = {}
     for (name, _), image in zip(patterns.items(), images.compose([trial], list(patterns.values())), strict=True):
         about = {spec: images.judged(detector(image), views, [trial])[0] for spec, detector in detectors.items()}
         picture = _save(folder / f"{trial:05d}-{name}.jpg", image)
-        shots[name] = picture | _described(about, threshold)
+        shots[name] = picture | _described(about, _own(detectors))
     return shots
 
 
 @torch.no_grad()
-def write_shot(
-    path: Path, image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float
-) -> dict:
-    """Write one image as JPEG; return its file, and each detector's boxes above the threshold and best score."""
-    return _save(path, image) | reported(image, detectors, threshold)
+def write_shot(path: Path, image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector]) -> dict:
+    """Write one image as JPEG; return its file, and each detector's boxes above its own threshold and best score."""
+    found = {spec: detector(image) for spec, detector in detectors.items()}
+    return _save(path, image) | _described(found, _own(detectors))
 
 
 def _save(path: Path, image: Float[Tensor, "1 3 H W"]) -> dict:
@@ -171,15 +170,20 @@ def _save(path: Path, image: Float[Tensor, "1 3 H W"]) -> dict:
 @torch.no_grad()
 def reported(image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float) -> dict:
     """Tell each detector's `boxes` above the threshold (x1, y1, x2, y2, score, best first) and its best `scores`."""
-    return _described({spec: detector(image) for spec, detector in detectors.items()}, threshold)
+    found = {spec: detector(image) for spec, detector in detectors.items()}
+    return _described(found, dict.fromkeys(detectors, threshold))
 
 
-def _described(detections: Mapping[str, Detections], threshold: float) -> dict:
+def _own(detectors: Mapping[str, Detector]) -> dict[str, float]:
+    return {spec: float(detector.operating_point) for spec, detector in detectors.items()}
+
+
+def _described(detections: Mapping[str, Detections], thresholds: Mapping[str, float]) -> dict:
     """Describe what detectors report in one image; see `reported`."""
     boxes, scores = {}, {}
     for spec, found in detections.items():
         scores[spec] = round(float(max_person_score(found)[0]), 4)
-        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, threshold)[0].tolist()]
+        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, thresholds[spec])[0].tolist()]
     return {"boxes": boxes, "scores": scores}
 
 

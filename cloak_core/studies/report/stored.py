@@ -60,6 +60,7 @@ def check_stored(folder: Path, summary: dict, pictures: dict, results: Results) 
     if set(summary["detectors"]) != set(specs):
         raise InputError(f"{path}: detectors are {', '.join(summary['detectors'])}, in scores.npz {', '.join(specs)}")
     shown = {
+        "thresholds?": {spec: NUMBER for spec in specs},
         "gallery": [_PAIR],
         "failures": {"*": [_PAIR]},
         "worst?": {"*": [_PAIR | {"success": SHARE}]},
