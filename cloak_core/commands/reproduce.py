@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.commands.base import command_line, err, out, warn
@@ -18,6 +19,7 @@ from cloak_core.experiments.options import Options, names
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
+    from cloak_core.studies.report.charts import Rows
     from cloak_core.studies.store import RunStore
 
 PARTS = 8
@@ -81,7 +83,7 @@ class Reproduce(Splitting, Computing, Sharing):
 
     def _rows(self) -> dict:
         """Make the chosen rows of one experiment, for `reproduce` without --only to find."""
-        from cloak_core.experiments.plan import chosen
+        from cloak_core.experiments.plan import chosen, paper_rows
         from cloak_core.experiments.runner import find, measure_rows
 
         if self.name == "all":
@@ -89,10 +91,10 @@ class Reproduce(Splitting, Computing, Sharing):
         if self.publish:
             raise InputError("--publish: takes whole experiments; --only prints its rows, with --json for a program")
         self.prepare()
-        store = self._store()
+        store, experiment = self._store(), find(self.name)
         with shown_progress(store):
-            rows = measure_rows(chosen(find(self.name), store, self.only), store)
-        return {"page": "", "experiments": {}, "skipped": {}, "rows": rows}
+            rows = measure_rows(chosen(experiment, store, self.only), store)
+        return {"page": "", "experiments": {}, "skipped": {}, "rows": rows, "paper": paper_rows(experiment, rows)}
 
     def _measure(self) -> tuple[dict, dict]:
         """Measure; give records by name, and why others were left out."""
@@ -188,8 +190,8 @@ class Reproduce(Splitting, Computing, Sharing):
                 out.print(
                     f"  {row['number']:>2}  {row['name']}: {row['updates']} updates, about {duration(row['seconds'])}"
                 )
-        for row in result.get("rows", []):
-            out.print(", ".join(f"{key} {value}" for key, value in row.items() if value is not None))
+        for title, rows in {"Made here": "rows", "In the paper": "paper"}.items():
+            show_rows(title, result.get(rows, []))
         for name, record in result["experiments"].items():
             out.print(f"{name}: {record['title']}")
             for line in record["words"]:
@@ -201,3 +203,15 @@ class Reproduce(Splitting, Computing, Sharing):
         ordered = names()
         later = ordered[ordered.index(self.name) + 1 :] if self.name in ordered else []
         return ("reproduce", later[0], "--list") if later and not self.list else ()
+
+
+def show_rows(title: str, rows: Rows) -> None:
+    """Show the rows of an experiment beside each other, with a line for each of their columns."""
+    from cloak_core.experiments.tables import readable
+
+    told = readable(rows)
+    if rows:
+        table = Table(title=title, title_justify="left", show_header=False)
+        for line in zip(told["heads"], *told["rows"], strict=True):
+            table.add_row(*line)
+        out.print(table)

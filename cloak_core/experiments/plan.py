@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from cloak_core.experiments.declaration import Cell, Experiment, test_angles
 from cloak_core.files.errors import InputError
 from cloak_core.studies.pace import Pace, measured_pace
+from cloak_core.studies.report.charts import Rows
 from cloak_core.studies.store import RunStore
 
 
@@ -48,6 +49,19 @@ def chosen(experiment: Experiment, store: RunStore, only: Sequence[str]) -> list
             raise InputError(f"--only {asked}: no such row ({rows})")
         found |= {number: cells[number] for number in numbers}
     return [found[number] for number in sorted(found)]
+
+
+def paper_rows(experiment: Experiment, rows: Rows) -> Rows:
+    """Select the paper's rows that any of these stand beside: they agree in all that both name but the detector."""
+    return [dict(told) for told in experiment.paper if any(_agree(told, row) for row in rows)]
+
+
+def _agree(told: Mapping[str, object], row: Mapping[str, object]) -> bool:
+    return all(
+        row.get(key, value) in (value, "all")
+        for key, value in told.items()
+        if key != "detector" and isinstance(value, str)
+    )
 
 
 def _cells(experiment: Experiment, store: RunStore) -> list[Cell]:

@@ -5,6 +5,9 @@ import json
 import pytest
 
 from cloak_core import cli
+from cloak_core.commands.reproduce import Reproduce
+from cloak_core.experiments.plan import paper_rows
+from cloak_core.experiments.runner import find
 
 FEW = ["--quick", "--steps", "2", "--device", "cpu", "--threads", "1"]
 
@@ -34,6 +37,15 @@ def test_a_row_that_does_not_exist_names_those_that_do(tmp_path, capsys):
     assert code == 2 and "--only: names rows of one experiment" in err
     code, _, err = said(capsys, "reproduce", "table1", "--only", "1", "--publish", str(tmp_path / "d"), *FEW)
     assert code == 2 and "--publish: takes whole experiments" in err and not (tmp_path / "d").exists()
+
+
+def test_a_row_is_shown_beside_the_papers(capsys):
+    row = {"logo": "smiley", "training": "single", "detector": "builtin", "success": 0.5, "low": 0.4, "high": 0.61}
+    paper = paper_rows(find("table1"), [row])
+    assert {told["logo"] for told in paper} == {"smiley"} and len(paper) == 2
+    Reproduce(name="table1").show({"experiments": {}, "page": "", "rows": [row], "paper": paper})
+    lines = [line.strip("│ ").split() for line in capsys.readouterr().out.splitlines()]
+    assert ["success", "│", "50", "%"] in lines and ["single", "│", "98", "%", "│", "51", "%"] in lines
 
 
 @pytest.mark.long
