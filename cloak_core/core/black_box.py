@@ -195,7 +195,7 @@ class Search(TrainingLoop):
         losses = torch.stack([self.objective.loss(detections[number], number) for number in detections]).mean(0)
         loss = float(losses.mean())
         variation = float(self.objective.total_variation(self.optimizer.finished()))
-        figures = StepFigures(loss, loss, variation, 0.0, float(answer.success))
+        figures = StepFigures(loss, loss, variation, {}, float(answer.success))
         step = Step(figures, bool(torch.isfinite(losses).all()), images, detections)
         if not step.is_finite:
             self._refuse(step)

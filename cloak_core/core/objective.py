@@ -1,7 +1,7 @@
 """What a step minimises, and its gradient."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import torch
 from jaxtyping import Float
@@ -53,12 +53,9 @@ class Objective:
         self.edges = torch.as_tensor(pattern.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(pattern.edge_lengths, dtype=torch.float32, device=device)
 
-    def penalty(self, colors: Float[Tensor, "L 3"]) -> tuple[float, Float[Tensor, ""]]:
-        """Compute what techniques add to the loss: a weight, and what it weighs; 0 without any."""
-        penalties = [technique.penalty(colors) for technique in self.techniques.at("penalty")]
-        if len(penalties) == 1:
-            return penalties[0]
-        return 1.0, sum((weight * value for weight, value in penalties), colors.new_zeros(()))
+    def penalties(self, colors: Float[Tensor, "L 3"]) -> dict[str, tuple[float, Float[Tensor, ""]]]:
+        """Compute what techniques add to the loss, by their names: a weight, and what it weighs."""
+        return {technique.name: technique.penalty(colors) for technique in self.techniques.at("penalty")}
 
     def total_variation(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
         """Compute the colours' total variation."""
@@ -139,10 +136,16 @@ class StepFigures:
     loss: float
     disappearance: float
     tv: float
-    nps: float
-    """What techniques' penalties come to, before their weight: non-printability; 0 without any."""
+    penalties: dict[str, float]
+    """What techniques' penalties come to, before their weights, by their names."""
     success: float
     """Share of the batch (over all detectors) in which nothing was found that is to be hidden."""
+
+    def record(self) -> dict[str, float]:
+        """Tell them as events and results have them: `nps` (non-printability) always, others where they are."""
+        figures = asdict(self)
+        penalties = figures.pop("penalties")
+        return figures | {"nps": 0.0} | penalties
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,12 +176,13 @@ def gradient_step(
     result = objective.forward_backward(images, step, batch.bodies, batch.company)
     variation = objective.total_variation(colors)
     weight = objective.settings.tv_weight
-    penalty_weight, penalty = objective.penalty(colors)
-    restless = (weight * variation + penalty_weight * penalty) / world.size
+    penalties = objective.penalties(colors)
+    restless = (weight * variation + sum(factor * value for factor, value in penalties.values())) / world.size
     gradient = torch.zeros_like(images) if result.gradient is None else result.gradient
     torch.autograd.backward([images, restless], [gradient if part == 1 else gradient.mul_(part), None])
     gradient = optimizer.gradient
-    shares = [part * result.disappearance, variation / world.size, penalty / world.size, part * result.success]
+    shares = [part * result.disappearance, part * result.success]
+    shares += [value / world.size for value in (variation, *(value for _, value in penalties.values()))]
     values = torch.stack(shares).detach()
     if world.size > 1:
         message = world.sum(torch.cat([gradient.view(-1), values]))
@@ -186,7 +190,8 @@ def gradient_step(
         values = message[-len(values) :]
     finite = torch.isfinite(gradient).all() & torch.isfinite(values).all()
     # One transfer for everything the host wants to know.
-    seen, variation, penalty, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
-    loss = seen + weight * variation + penalty_weight * penalty
-    figures = StepFigures(loss, seen, variation, penalty, success)
+    seen, success, variation, *measured, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
+    named = dict(zip(penalties, measured, strict=True))
+    loss = seen + weight * variation + sum(penalties[name][0] * value for name, value in named.items())
+    figures = StepFigures(loss, seen, variation, named, success)
     return Step(figures, bool(is_finite), images.detach(), result.detections)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from cloak_core.files.errors import InputError
 from cloak_core.files.lazy import Lazy
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 torch = Lazy("torch")
 ROOM = "cloak_core.techniques"
+GROUPS = ("augmentation", "objective", "pattern", "surrogates", "optimization")
+"""Components of `TrainSettings` that settings of techniques can join."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -91,7 +94,12 @@ class Technique:
         """Make the context in which detector `number` runs in `step` of a training."""
 
     def penalty(self, colors: Float[torch.Tensor, "C 3"]) -> tuple[float, Float[torch.Tensor, ""]]:
-        """Compute what is added to the loss: its weight, and the figure that events call `nps`."""
+        """Compute what is added to the loss: its weight, and the figure that events have under `name`."""
+
+    @property
+    def name(self) -> str:
+        """Say under what name events have its penalty: that of its file."""
+        return type(self).__module__.rpartition(".")[2]
 
     def weights(self) -> Float[np.ndarray, " detectors"]:
         """Weigh the detectors; the weights sum to 1."""
@@ -241,11 +249,14 @@ class Distortions(tuple[Distortion, ...]):
 
 @cache
 def discovered() -> tuple[type[Technique], ...]:
-    """Find every technique: the class `TECHNIQUE` of each file of the room."""
+    """Find every technique: the class `TECHNIQUE` of each file of the room. InputError: its group does not exist."""
     room = importlib.import_module(ROOM)
     names = sorted(module.name for module in pkgutil.iter_modules(room.__path__))
-    techniques = [importlib.import_module(f"{ROOM}.{name}").TECHNIQUE for name in names]
-    return tuple(sorted(techniques, key=lambda technique: technique.order))
+    modules = [importlib.import_module(f"{ROOM}.{name}") for name in names]
+    for module in modules:
+        if (group := getattr(module.TECHNIQUE, "group", None)) not in GROUPS:
+            raise InputError(f"{module.__file__}: its group, {group!r}, is none of {', '.join(GROUPS)}")
+    return tuple(sorted((module.TECHNIQUE for module in modules), key=lambda technique: technique.order))
 
 
 def choices(setting: str) -> tuple[str, ...]:
@@ -258,7 +269,8 @@ def choices(setting: str) -> tuple[str, ...]:
 
 
 def with_techniques(group: str) -> Callable[[type], type]:
-    """Join the settings of a group's techniques to the core's dataclass, after its own."""
+    """Join the settings of a group's techniques to the core's dataclass, after its own. ValueError: no such group."""
+    GROUPS.index(group)
 
     def join(core: type) -> type:
         parts = [

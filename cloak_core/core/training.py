@@ -48,7 +48,7 @@ class RunResult:
 
     def record(self) -> dict:
         """Make the record that the command line prints."""
-        figures = dataclasses.asdict(self.figures) if self.figures else {}
+        figures = self.figures.record() if self.figures else {}
         record = {
             "out": str(self.out),
             "step": self.step,
@@ -107,10 +107,12 @@ class TrainingLoop(Loop):
 
     def _recorded_figures(self) -> StepFigures | None:
         """Read the last step's figures from the event log: a run that was complete before has no others."""
-        names = [field.name for field in dataclasses.fields(StepFigures)]
+        plain = ("loss", "disappearance", "tv", "success")
+        names = (*plain, *(technique.name for technique in self.techniques.at("penalty")))
         for event in reversed(read_events(self.folder.events) if self.world.is_first else []):
             if event.get("type") == "step" and all(isinstance(event.get(name), float) for name in names):
-                return StepFigures(*(event[name] for name in names))
+                penalties = {name: event[name] for name in names[len(plain) :]}
+                return StepFigures(penalties=penalties, **{name: event[name] for name in plain})
         return None
 
     def one_step(self) -> None:
@@ -125,7 +127,7 @@ class TrainingLoop(Loop):
         self._watch(step)
         self.optimizer.update(lr)
         self.step += 1
-        self.tell("step", **dataclasses.asdict(step.figures), **self._facts(lr))
+        self.tell("step", **step.figures.record(), **self._facts(lr))
         # A run that is shorter than the time between previews has one at its end.
         is_short_and_done = self.step == self.steps < self.settings.run.preview_every
         if self.world.is_first and (self.due(self.settings.run.preview_every) or is_short_and_done):

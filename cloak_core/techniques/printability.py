@@ -40,6 +40,7 @@ class Printability(Technique):
     group = "objective"
     settings = PrintabilitySettings
     files = (("palette", "palette"),)
+    name = "nps"
 
     def __init__(self, weight: float, palette: Float[np.ndarray, "P 3"], device: torch.device) -> None:
         self.weight = weight

@@ -39,8 +39,10 @@ def test_a_palette_draws_the_colours_to_it(tmp_path):
     options = {"steps": 60, "noise": 0, "tv_weight": 0, "lr": 0.05}
     free = run(tmp_path / "free", palette=str(palette), **options)
     bound = run(tmp_path / "bound", palette=str(palette), nps_weight=100, **options)
-    assert bound.figures.nps < 0.05 < free.figures.nps
-    assert bound.figures.loss == pytest.approx(bound.figures.disappearance + 100 * bound.figures.nps, abs=1e-4)
+    assert bound.figures.penalties["nps"] < 0.05 < free.figures.penalties["nps"]
+    assert bound.figures.loss == pytest.approx(
+        bound.figures.disappearance + 100 * bound.figures.penalties["nps"], abs=1e-4
+    )
     config = json.loads((tmp_path / "bound" / "config.json").read_text())
     assert config["palette"]["colors"] == 3
     moved = palette.rename(tmp_path / "moved.txt")
