@@ -13,7 +13,7 @@ from .command_lines import cloak_command
 from .consent import allow
 from .jobs import Job, last_words, launch
 from .preferences import preferences, trainer, user_folder
-from .program import INSTALL_LINE
+from .program import install_line
 
 
 class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer"):
@@ -43,7 +43,7 @@ class CLOAK_OT_copy_install_line(CloakOperator, label="Copy Installation Line"):
     """Copy the line that installs the trainer to the clipboard"""
 
     def run(self, context: bpy.types.Context) -> str:
-        context.window_manager.clipboard = INSTALL_LINE
+        context.window_manager.clipboard = install_line(preferences().wheel)
         return "Copied: paste it into a terminal"
 
 

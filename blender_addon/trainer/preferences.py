@@ -10,7 +10,7 @@ import bpy
 from ..files.errors import InputError
 from ..translations import said
 from ..ui import props
-from .program import INSTALL_LINE, find_program
+from .program import find_program, install_line
 
 PACKAGE = __package__.rpartition(".")[0]  # the add-on's name in Blender
 LOOK_SECONDS = 5.0  # between two looks of the panel for a program that is not there
@@ -21,7 +21,7 @@ _looked: tuple[str, float, str] = ("", 0.0, "")
 def preferences() -> "CloakPreferences | SimpleNamespace":
     """Return the add-on's preferences; empty ones that are not stored if it is not installed."""
     addon = bpy.context.preferences.addons.get(PACKAGE)
-    return addon.preferences if addon else SimpleNamespace(program="", answer="")
+    return addon.preferences if addon else SimpleNamespace(program="", wheel="", answer="")
 
 
 def user_folder(name: str) -> Path:
@@ -38,7 +38,7 @@ def runs_folder() -> Path:
 
 def trainer() -> str:
     """The program to train with. Raises `InputError` with what to do."""
-    return find_program(preferences().program)
+    return find_program(preferences().program, preferences().wheel)
 
 
 def trainer_reason() -> str:
@@ -47,7 +47,7 @@ def trainer_reason() -> str:
     chosen, now = preferences().program, time.monotonic()
     if _looked[0] != chosen or not _looked[1] or (_looked[2] and now - _looked[1] > LOOK_SECONDS):
         try:
-            find_program(chosen)
+            find_program(chosen, preferences().wheel)
             _looked = chosen, now, ""
         except InputError as error:
             _looked = chosen, now, str(error)
@@ -64,6 +64,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         "The program cloak, a Python that has cloak_core, or the folder of a checkout; empty to look in known places",
         relative=False,
     )
+    wheel: props.path("Wheel", "The file cloak_core-....whl, for the line that installs the trainer", relative=False)
     answer: props.text("Answer", "What the trainer said when it was last tested", options={"SKIP_SAVE"})
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -75,6 +76,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
             layout.label(text=said(self.answer or trainer_reason()), icon="INFO")
         box = layout.box()
         box.label(text="The trainer is a program of its own. To install it, run this in a terminal:")
+        box.prop(self, "wheel")
         row = box.row(align=True)
-        row.label(text=INSTALL_LINE)
+        row.label(text=install_line(self.wheel))
         row.operator("cloak.copy_install_line", text="", icon="COPYDOWN")

@@ -16,7 +16,7 @@ import bpy
 
 from ..files.errors import InputError
 
-INSTALL_LINE = "uv tool install cloak-core"
+WHEEL = "PATH/cloak_core-VERSION-py3-none-any.whl"
 SCRIPTS, PROGRAM = ("Scripts", "cloak.exe") if os.name == "nt" else ("bin", "cloak")
 NO_WINDOW = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
 """Options of subprocess that keep Windows from opening a console."""
@@ -33,7 +33,12 @@ def known_places() -> Iterator[Path]:
         yield home / tools / "cloak-core" / SCRIPTS / PROGRAM
 
 
-def find_program(chosen: str = "") -> str:
+def install_line(wheel: str = "") -> str:
+    """What to type in a terminal to install the trainer from its wheel, wherever that lies: no index has it yet."""
+    return f'uv tool install "{os.path.expanduser(wheel) or WHEEL}[onnx]"'
+
+
+def find_program(chosen: str = "", wheel: str = "") -> str:
     """The program to train with: the chosen one, or the first in the known places; `InputError` says what to do.
 
     chosen: a program, a Python that has cloak_core, or the folder of a checkout or an environment.
@@ -42,7 +47,7 @@ def find_program(chosen: str = "") -> str:
         found = (str(place) for place in known_places() if os.access(place, os.X_OK))
         if program := next(found, ""):
             return program
-        raise InputError(f"No trainer found. To train, run this in a terminal: {INSTALL_LINE}")
+        raise InputError(f"No trainer found. To train, run this in a terminal: {install_line(wheel)}")
     path = Path(os.path.expanduser(chosen))
     inside = (path / folder / SCRIPTS / PROGRAM for folder in (".venv", ".")) if path.is_dir() else ()
     place = next((str(place) for place in inside if os.access(place, os.X_OK)), None) or shutil.which(str(path))

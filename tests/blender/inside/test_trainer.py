@@ -14,7 +14,7 @@ from cloak.session import session
 from cloak.trainer import command_lines, jobs, program
 from cloak.trainer import preferences as preferences_module
 from cloak.trainer.jobs import Job
-from cloak.trainer.preferences import preferences, trainer_reason
+from cloak.trainer.preferences import preferences, trainer, trainer_reason
 from cloak.training.operators import train_reason
 from conftest import run_job
 
@@ -52,6 +52,18 @@ def test_the_program_is_found_where_installers_put_it_and_not_started(nowhere, p
     assert program.start_words(str(made)) == [str(made)] and not (tmp_path / "started").exists()
 
 
+def test_the_line_that_installs_the_trainer_names_the_wheel_that_was_chosen(nowhere):
+    preferences().wheel = "~/my wheels/cloak_core-2.0.0-py3-none-any.whl"
+    try:
+        with pytest.raises(InputError) as error:
+            trainer()
+        assert str(error.value).endswith(
+            f'uv tool install "{nowhere}/my wheels/cloak_core-2.0.0-py3-none-any.whl[onnx]"'
+        )
+    finally:
+        preferences().wheel = ""
+
+
 def test_what_is_chosen_comes_first(nowhere, tmp_path, monkeypatch):
     make_program(nowhere / ".local/bin/cloak")
     monkeypatch.setenv("CLOAK_PROGRAM", str(make_program(tmp_path / "named")))
@@ -67,7 +79,7 @@ def test_what_is_chosen_comes_first(nowhere, tmp_path, monkeypatch):
 
 def test_without_a_trainer_what_needs_one_is_not_there_and_the_rest_works(ready, nowhere):
     preferences().program = ""
-    assert "uv tool install" in trainer_reason()
+    assert 'uv tool install "PATH/cloak_core-' in trainer_reason()
     shown = {cls.__name__ for cls in cloak.CLASSES if issubclass(cls, bpy.types.Panel) and cls.poll(bpy.context)}
     hidden = {"train", "evaluation", "eye", "wear"}
     assert not shown & {f"CLOAK_PT_{name}" for name in hidden} and {"CLOAK_PT_logo", "CLOAK_PT_result"} <= shown
