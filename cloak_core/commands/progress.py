@@ -186,7 +186,7 @@ class WorkProgress:
         self._done, self._at = done, now
         if not self._silent and (now - self._said >= PLAIN_EVERY or label != self._label):
             self._said, self._label = now, label
-            left = f", about {_minutes(self.left(total))} left" if self._worked else ""
+            left = f", about {_minutes(self.left(total))} left" if self._worked >= TELLING * total else ""
             err.print(f"{label}: {done / total:.0%}{left}")
 
     def left(self, total: float) -> float:
@@ -194,6 +194,8 @@ class WorkProgress:
         return (total - self._done) * self._spent / max(self._worked, 1e-9)
 
 
+TELLING = 0.01
+"""Share of the work that says how long the rest takes; the first images wait for compilers and files."""
 QUICK = 0.002
 """Seconds; a report that comes sooner is of something that was done before."""
 

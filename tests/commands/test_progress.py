@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cloak_core.cli import load
-from cloak_core.commands.progress import TrainingProgress, counted
+from cloak_core.commands.progress import TrainingProgress, WorkProgress, counted
 from cloak_core.commands.train import Train
 from cloak_core.commands.transfer import Transfer
 from cloak_core.core.events import read_events
@@ -109,6 +109,15 @@ def test_who_filled_a_matrix_on_people_is_told_to_train_on_people():
         "--logo",
         "chest+thighs",
     )
+
+
+def test_the_first_images_say_nothing_of_the_time_left(monkeypatch, capsys):
+    clock = iter(range(0, 10_000, 60))
+    monkeypatch.setattr("cloak_core.commands.progress.time.monotonic", lambda: float(next(clock)))
+    progress = WorkProgress()
+    for done in (0, 1, 100):
+        progress("zoo", done, 1000)
+    assert capsys.readouterr().err.splitlines() == ["zoo: 0%", "zoo: 0%", "zoo: 10%, about 18 min left"]
 
 
 LONG = ("train", "evaluate", "wear", "assess", "harden", "sweep", "transfer", "reproduce", "film", "demo")

@@ -371,11 +371,12 @@ def test_progress_counts_what_was_done_and_what_is_left(tmp_path: Path, monkeypa
             work.on_event({"type": "start", "steps": 2})
             work.on_event({"type": "step", "step": step})
             work.on_event({"type": "end"})
-        work.on_images(1, 2)
+        for done in (10, 20, 10, 20):  # two evaluations of twenty images
+            work.on_images(done, 20)
     with pytest.raises(KeyboardInterrupt), work.part("b"):
-        work.on_images(1, 4)
+        work.on_images(25, 100)
         raise KeyboardInterrupt
-    assert told == [0, 15, 60, 80, 100, 100, 125] and work.total == 200
+    assert told == [0, 15, 60, 70, 80, 90, 100, 100, 100, 125] and work.total == 200
     spent = json.loads((tmp_path / "spent.json").read_text())
     assert spent["done"] == ["a"] and spent["seconds"].keys() == {"a", "b"}
     clock = iter([0.0, 0.0, 0.001, 10.0])

@@ -40,6 +40,7 @@ class Work:
         if earlier.get("asked") == asked:
             self._record |= earlier
         self._name, self._before, self._ended, self._steps = "", 0.0, 0, 1
+        self._looked = self._last = 0
 
     @property
     def seconds(self) -> float:
@@ -60,6 +61,7 @@ class Work:
     def part(self, name: str) -> Iterator[None]:
         """Count what is done inside as this part."""
         self._name, self._ended, started, done = name, 0, time.monotonic(), False
+        self._looked = self._last = 0
         self._tell(0.0)
         try:
             yield
@@ -84,9 +86,11 @@ class Work:
             self._ended += 1
 
     def on_images(self, done: int, total: int) -> None:
-        """Take the progress of an evaluation."""
+        """Take the images of an evaluation; a part has several, one after the other."""
         trained, looked = self.costs[self._name]
-        self._tell(trained + looked * done / total)
+        self._looked += self._last if done <= self._last else 0
+        self._last = done
+        self._tell(trained + min(looked, self._looked + done))
 
     def _tell(self, done: float) -> None:
         if self.on_work:
