@@ -38,7 +38,7 @@ def compile_loops() -> float:
             colors = torch.full((pattern.count, 3), 0.5, requires_grad=True)
             view = source.view(shown, 0, pattern)
             dressed([view], pattern, behind, torch.tensor([[3, 2]])).paint(colors).sum().backward()
-    kernel = Kernel.of(0, 40, 32, 40)
+    kernel = Kernel.of(0.0, 40.0, 32, 40)
     spread_back(resample(torch.zeros(40, 40, 3), kernel, kernel), kernel, kernel)
     return time.perf_counter() - started
 

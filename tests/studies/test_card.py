@@ -186,7 +186,7 @@ def test_cloaks_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
     for threads in (1, 3):
         assessment = Assessment(make_store(tmp_path / str(threads), load_detector("builtin")), TINY, tmp_path, [])
         with torch_threads(threads):
-            colors[threads] = assessment._trained(assessment._areas[-1], "0", 4)[0].colors
+            colors[threads] = assessment._trained(assessment._areas[-1], "0", 4)[0].pattern.colors
     assert np.array_equal(colors[1], colors[3])
 
 

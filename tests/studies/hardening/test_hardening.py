@@ -62,7 +62,7 @@ def test_a_stopped_hardening_goes_on_to_the_same_bits(tmp_path: Path, monkeypatc
     assert (rest.stopped, rest.step) == ("", 4) and not left.exists(), "what killed writers left goes"
     assert state_hash(load_detector(rest.spec)) == state_hash(load_detector(whole.spec))
     types = [json.loads(line)["type"] for line in (tmp_path / "part" / "events.jsonl").read_text().splitlines()]
-    assert types == ["start", *["step"] * 3, "resume", "step", "end"]
+    assert types == ["start", *["step"] * 3, "checkpoint", "resume", "step", "checkpoint", "end"]
 
 
 def test_a_cancel_file_and_a_time_budget_end_it_in_order(student: Student, tmp_path: Path) -> None:
