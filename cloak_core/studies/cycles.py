@@ -51,7 +51,9 @@ class NoBlender(InputError):
 
 def require_blender() -> str:
     """Find a Python with Blender; NoBlender says in one line how to install one."""
-    python = find_bpy() if SCRIPT.exists() else None
+    if not SCRIPT.exists():
+        raise NoBlender("Cycles: needs a checkout of Cloak, for the installed package has no part that runs in Blender")
+    python = find_bpy()
     if python is None:
         raise NoBlender(
             "Cycles: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11), "

@@ -71,6 +71,9 @@ def test_without_blender_one_line_says_what_is_missing(monkeypatch: pytest.Monke
     monkeypatch.setattr(cycles, "find_bpy", lambda: None)
     with pytest.raises(NoBlender, match=r"^Cycles: needs Blender's Python package .*setup_blender"):
         require_blender()
+    monkeypatch.setattr(cycles, "SCRIPT", Path("none.py"))
+    with pytest.raises(NoBlender, match=r"^Cycles: needs a checkout"):
+        require_blender()
 
 
 @pytest.mark.long
