@@ -90,7 +90,7 @@ class Work:
         trained, looked = self.costs[self._name]
         self._looked += self._last if done <= self._last else 0
         self._last = done
-        self._tell(trained + min(looked, float(self._looked + done)))
+        self._tell(float(trained + min(looked, self._looked + done)))
 
     def _tell(self, done: float) -> None:
         if self.on_work:
