@@ -18,13 +18,18 @@ from cloak_core.core.polygons import triangulate
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_npz
+from cloak_core.sources.bodies.people.samples import HEADWEAR
 from cloak_core.sources.bodies.people.samples import load as load_samples
 
 DATA = Path(__file__).parents[1] / "data" / "clothed.npz"
 OBJECTS = ("body", "shirt", "trousers")
 """Of the scene, in the order in which faces and vertices are numbered through."""
-ON_GARMENT = {"shirt": ("chest", "belly", "back", "arms"), "trousers": ("thighs", "shins")}
-ON_SKIN = ("head", "hands", "feet", "forearms")
+LIES_ON = {
+    "shirt": ("chest", "belly", "back", "arms"),
+    "trousers": ("thighs", "shins"),
+    "body": ("head", *HEADWEAR, "hands", "feet", "forearms"),
+}
+"""Regions of the sample bodies, by the object that has them here."""
 TIGHT = {"shirt": 0.008, "trousers": 0.004}
 """Metres from the skin of garments that fit tightly."""
 SCENES = ("sample-clothed", "sample-tight")
@@ -34,8 +39,9 @@ def clothed_bodies(split: str = "all", tight: bool = False) -> Bodies:
     """Load the clothed people: looped cycles "train", other people, motions and folds "unseen", or "all".
 
     One topology: the skin that is not hidden, then the shirt, then the trousers, which are also regions; so are chest,
-    belly, back, arms (sleeves), thighs and shins on the garments, and head, hands, feet and forearms. A pose is called
-    MOTION-PERSON-wFOLDS-FRAME: people p1 to p5 are trained on, u1 to u3 unseen; frames of a name make a cycle.
+    belly, back, arms (sleeves), thighs and shins on the garments, and head, headwear, hands, feet and forearms.
+    A pose is called MOTION-PERSON-wFOLDS-FRAME: people p1 to p5 are trained on, u1 to u3 unseen; frames of a name make
+    a cycle.
     `tight`: the same people, motions and faces with the garments tight on the skin, as paint would be.
     """
     name = SCENES[tight]
@@ -145,6 +151,5 @@ def _regions(owner: np.ndarray, source: np.ndarray) -> dict[str, np.ndarray]:
     samples, _ = load_samples()
     regions_of_source = {name: mask[source] for name, mask in samples.regions.items()}
     regions = {name: owner == number for number, name in enumerate(OBJECTS)}
-    regions |= {name: regions_of_source[name] & regions[worn] for worn, names in ON_GARMENT.items() for name in names}
-    regions |= {name: regions_of_source[name] & regions["body"] for name in ON_SKIN}
+    regions |= {name: regions_of_source[name] & regions[worn] for worn, names in LIES_ON.items() for name in names}
     return regions | {"front": regions_of_source["front"]}

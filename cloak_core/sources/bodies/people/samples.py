@@ -5,17 +5,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from cloak_core.core.geometry import face_centres
 from cloak_core.core.polygons import triangulate
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_npz
 
 DATA = Path(__file__).parents[1] / "data" / "bodies.npz"
+HEADWEAR = {
+    "cap": lambda x, y, z: y > 1.634,
+    "hood": lambda x, y, z: (z < 0.045) | ((x / 0.064) ** 2 + ((y - 1.567) / 0.075) ** 2 > 1),
+    "scarf": lambda x, y, z: y < 1.556,
+}
+"""What of the head headwear covers, by the faces' middles in the first pose, which looks straight ahead (metres): above
+the brow; all around the oval of the face; below the nose."""
 
 
 def sample_bodies(split: str = "all") -> Bodies:
@@ -57,4 +66,6 @@ def load() -> tuple[Bodies, np.ndarray]:
         loop_vertices=quads.reshape(-1),
         name="samples",
     )
-    return bodies, data["unseen"]
+    head = bodies.regions["head"]
+    headwear = {name: head & covers(*face_centres(bodies).T) for name, covers in HEADWEAR.items()}
+    return replace(bodies, regions=bodies.regions | headwear), data["unseen"]
