@@ -29,7 +29,7 @@ class List(Command):
         from cloak_core.zoo.entry import entry, shelved, success, success_on_people
 
         records = [entry(name).record for name in shelved()]
-        kept = ("name", "detectors", "logo", "about", "licence", "faces")
+        kept = ("name", "detectors", "logo", "cover", "about", "licence", "faces")
         rates = lambda record: {"success": success(record), "success_on_people": success_on_people(record)}
         return {"zoo": [{key: record[key] for key in kept} | rates(record) for record in records]}
 

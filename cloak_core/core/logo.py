@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -40,6 +40,8 @@ class Cover:
     """[L] int64, sorted, unique."""
     topology: str
     """Hash of the mesh that they belong to."""
+    name: str = field(default="", kw_only=True)
+    """Its regions, shirt+trousers, or its file's name: for people, and decides nothing."""
 
     def __len__(self) -> int:
         return len(self.face_ids)
@@ -62,7 +64,7 @@ class Logo(Cover):
     """[E] float64 metres, in the first pose."""
 
 
-def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
+def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int], name: str = "") -> Logo:
     """Make a logo of these faces (any order). InputError: none, duplicates, or ids that the body lacks."""
     listed = np.asarray(face_ids)
     if listed.ndim != 1 or not listed.size or listed.dtype.kind not in "iu":
@@ -74,7 +76,7 @@ def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
         beyond = ids[0] if ids[0] < 0 else ids[-1]
         raise InputError(f"face id {beyond} is beyond the {bodies.face_count} faces of scene '{bodies.name}'")
     edges, lengths = inner_edges(bodies, ids)
-    return Logo(ids, bodies.topology, bodies.face_count, edges, lengths)
+    return Logo(ids, bodies.topology, bodies.face_count, edges, lengths, name=name)
 
 
 def load_logo(bodies: Bodies, path: str | os.PathLike | None = None, *, region: str | None = None) -> Logo:
@@ -86,11 +88,11 @@ def load_logo(bodies: Bodies, path: str | os.PathLike | None = None, *, region: 
     if (path is None) == (region is None):
         raise TypeError("load_logo takes either the path of a face list, or region=")
     if region is not None:
-        return make_logo(bodies, select_region(bodies, region))
+        return make_logo(bodies, select_region(bodies, region), region)
     if Path(path).suffix in (".npy", ".idx") or Path(path).exists():
-        return make_logo(bodies, face_ids(read_face_list(path, bodies), bodies))
+        return make_logo(bodies, face_ids(read_face_list(path, bodies), bodies), Path(path).stem)
     try:
-        return make_logo(bodies, select_region(bodies, os.fspath(path)))
+        return load_logo(bodies, region=os.fspath(path))
     except InputError as error:
         raise InputError(f"{path}: no such face list; {error}") from None
 

@@ -25,7 +25,7 @@ from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.caching import cache_folder
 from cloak_core.files.errors import InputError, suggestion
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.files.reading import parse_json, read_json, read_npz
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import new_folder, remove_leftovers, require_new, write_json, write_npz
@@ -72,6 +72,7 @@ def read_entry(folder: Path, name: str) -> Entry:
     try:
         count, colors = int(record["face_count"]), arrays["colors"]
         config = parse_json(arrays["config"].tobytes(), str(path))
+        config["cover"] = record.get("cover")
         ids = np.flatnonzero(np.unpackbits(arrays["faces"], count=count)).astype(np.int64)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a zoo entry ({error})") from None
@@ -103,6 +104,7 @@ def write_entry(
     mask = np.zeros(config["scene"]["faces"], bool)
     mask[faces.ids] = True
     config = _kept(config)
+    called = logo or Path(config["inputs"].get("logo", "logo")).stem
     record = {
         "format": FORMAT,
         "name": name,
@@ -111,7 +113,8 @@ def write_entry(
         "command": without_folders(command),
         "seed": config["settings"]["seed"],
         "detectors": [detector["spec"] for detector in config["detectors"]],
-        "logo": logo or Path(config["inputs"].get("logo", "logo")).stem,
+        "logo": called,
+        "cover": config.get("cover") or called,
         "faces": len(faces.ids),
         "face_count": len(mask),
         "colors": sha256_arrays(colors),
@@ -254,7 +257,7 @@ def best_run(folder: Path) -> Path:
 def _run_of(name: str) -> Path:
     found, folder = entry(name), cache_folder("zoo")
     # Named by content: another version's entry of the same name is another folder.
-    place = f"{name}-{found.record['colors'][:12]}"
+    place = f"{name}-{sha256_record(found.record)[:12]}"
     if folder is not None:
         run = folder / place
         try:

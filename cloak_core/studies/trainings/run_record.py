@@ -52,6 +52,7 @@ def run_config(training: Training, processes: int = 1, files: Mapping[str, objec
         "topology": training.bodies.topology,
         "settings": settings_record(settings),
         "scene": _scene(training.bodies),
+        "cover": logo.name,
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
         "detectors": [_detector(detector) for detector in training.detectors],
         "backgrounds": _backgrounds(training.backgrounds),
