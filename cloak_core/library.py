@@ -109,6 +109,7 @@ def evaluate(
     detectors: Mapping[str, Given] | Given | Sequence[Given] | None = None,
     *,
     colors: Named | None = None,
+    logo: Named | None = None,
     profile: Named | None = None,
     out: Named | None = None,
     over_time: bool = False,
@@ -123,7 +124,8 @@ def evaluate(
 
     run: a run folder, what `train` returned, or zoo:NAME. colors: judge these on the run's logo instead: a .npy of
     colours [L, 3], a picture on the scene's UV map, PICTURE@tile=METRES (on people PICTURE@patch=METRES, too), another
-    run, or zoo:NAME; then into RUN/evaluation-NAME. profile:
+    run, or zoo:NAME; then into RUN/evaluation-NAME. logo: regions or a face list that a cloth or picture covers instead
+    of the run's logo; its name ends the folder's. profile:
     of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print --profile`; then
     into RUN/evaluation-printed. over_time:
     judge the snapshots that training kept, too ("over_time" of the result, and RUN/curve.json and .png; on people
@@ -155,7 +157,7 @@ def evaluate(
     judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
     if people is None:
         bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
-        pattern, trained, name = open_run(folder, config, colors, bodies)
+        pattern, trained, name = open_run(folder, config, colors, bodies, logo)
         behind = _backdrops(backgrounds or kept_back("backgrounds", config))
         angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
         show = partial(study.show_bodies, bodies=bodies, backgrounds=behind, angles=angles)
@@ -163,7 +165,7 @@ def evaluate(
     else:
         if scene is not None or settings.cycles is not None:
             raise InputError("--people: photographs are what is judged on: without --scene and --cycles")
-        pattern, trained, name = open_run(folder, config, colors)
+        pattern, trained, name = open_run(folder, config, colors, logo=logo)
         shown = people if isinstance(people, People) else load_people(people)
         show = partial(study.show_people, people=shown, backgrounds=_backdrops(backgrounds or "procedural:test"))
         place, curve = study.PEOPLE_FOLDER, "curve-people"
@@ -201,6 +203,7 @@ def film(
     detectors: Mapping[str, Given] | Given | Sequence[Given] | None = None,
     *,
     colors: Named | None = None,
+    logo: Named | None = None,
     settings: FilmSettings | None = None,
     device: str = "cpu",
     on_progress: OnProgress | None = None,
@@ -217,7 +220,7 @@ def film(
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
     bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
-    pattern, _, _ = open_run(folder, config, colors, bodies)
+    pattern, _, _ = open_run(folder, config, colors, bodies, logo)
     behind = _backdrops(backgrounds or kept_back("backgrounds", config))
     judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
     return make_film(pattern, bodies, behind, judges, Path(out), settings, on_progress)
@@ -231,6 +234,7 @@ def wear(
     backgrounds: Backgrounds | Named = "procedural:test",
     *,
     images: Named | None = None,
+    logo: str | None = None,
     out: Named | None = None,
     settings: WearSettings | None = None,
     device: str = "cpu",
@@ -242,7 +246,8 @@ def wear(
     """Dress people in photographs in trained colours or pictures, and judge them beside controls.
 
     colors: each a run folder, zoo:NAME, PICTURE@tile=METRES or PICTURE@patch=METRES; PICTURE: a file, print:NAME, or a
-    run of cloth. people: what `load_people` gave, or a COCO file (its photographs in `images`). backgrounds: without
+    run of cloth. people: what `load_people` gave, or a COCO file (its photographs in `images`). logo: regions or a face
+    list that cloths, pictures and controls cover (None: a run's own, else shirt and trousers). backgrounds: without
     people, for false alarms. out: a new folder for pictures and tables. How to judge: `settings`, or `changes` of the
     defaults by the names of `cloak wear`'s options. `on_progress` hears (images done, images in all). width_people,
     width_detectors: on whom PICTURE@tile=auto chooses its width; they may not judge.
@@ -262,10 +267,10 @@ def wear(
     if width_people is not None:
         choosing = width_people if isinstance(width_people, People) else load_people(width_people, images)
     choosers = _by_name(width_detectors, device) if len(width_detectors) else {}
-    colors, widths = choose_widths(given, choosing, choosers, judging, scenes, settings, on_progress)
+    colors, widths = choose_widths(given, choosing, choosers, judging, scenes, settings, on_progress, logo)
     more = {"widths": widths} if widths else None
     folder = None if out is None else Path(out)
-    return Figures(wear_and_judge(colors, *judging, scenes, folder, settings, on_progress, more))
+    return Figures(wear_and_judge(colors, *judging, scenes, folder, settings, on_progress, more, logo))
 
 
 def _stopping(on_event: OnEvent, out: Path) -> OnEvent:

@@ -57,6 +57,8 @@ class Assess(Splitting, Detecting, Sharing):
     patterns: tuple[str, ...] = ()
     """Published patterns to wear: FILE.png, as cloth 0.25 m wide, FILE.png@tile=METRES, FILE.png@patch=METRES, or a
     folder with patterns.toml."""
+    logo: str | None = None
+    """Regions that patterns cover, shirt+trousers+hood (default: shirt and trousers)."""
     zoo: UseAppendAction[tuple[str, ...]] = ()
     """Entries of the zoo to show it (default: all that these bodies can wear)."""
     seed: int = 0
@@ -175,7 +177,7 @@ class Assess(Splitting, Detecting, Sharing):
         pace = None
         for size in self._sizes():
             store = self._store(spec, detector, size)
-            assessment = Assessment(store, size, folder, self.zoo or None, WorkProgress(), people, patterns)
+            assessment = Assessment(store, size, folder, self.zoo or None, WorkProgress(), people, patterns, self.logo)
             seconds, pace = assessment.seconds_left(pace)
             clocked = f"{1000 * pace.gradient:.0f} ms a forward and backward, {1000 * pace.forward:.0f} ms a forward"
             about = f"about {max(1, round(seconds / 60))} min on this machine (measured: {clocked})"

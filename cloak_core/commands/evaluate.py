@@ -29,6 +29,9 @@ class Evaluate(AboutRun, Detecting):
     """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map,
     FILE.png@tile=0.5 (cloth that repeats, its width in metres), print:balls@tile=0.25 (a plain print), another run, or
     zoo:NAME; written to RUN/evaluation-NAME."""
+    logo: str | None = None
+    """Regions (shirt+trousers+hood) or a face list that a cloth or picture covers instead of the run's logo; written to
+    RUN/evaluation-LOGO."""
     profile: Path | None = None
     """Profile of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print
     --profile`, the nearest that can where they cannot; written to RUN/evaluation-printed."""
@@ -73,6 +76,7 @@ class Evaluate(AboutRun, Detecting):
                 self.backgrounds,
                 self.by_spec(specs),
                 colors=self.colors,
+                logo=self.logo,
                 profile=self.profile,
                 out=self.out,
                 over_time=self.over_time,

@@ -34,6 +34,8 @@ class Film(AboutRun, Detecting):
     sample:train)."""
     colors: str | None = None
     """Film these colours on the run's logo instead, as in cloak evaluate."""
+    logo: str | None = None
+    """Regions or a face list that a cloth or picture covers, as in cloak evaluate."""
     backgrounds: str | None = None
     """Folder of images, or procedural:test (the default after training on procedural:train); a take has one."""
     detector: UseAppendAction[tuple[str, ...]] = ()
@@ -61,6 +63,7 @@ class Film(AboutRun, Detecting):
                 self.backgrounds,
                 detectors,
                 colors=self.colors,
+                logo=self.logo,
                 settings=self.settings,
                 on_progress=tell,
             )

@@ -35,6 +35,9 @@ class Wear(Detecting):
     """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
     images: Path | None = None
     """Folder of the photographs (default: beside the file, or images/ beside it)."""
+    logo: str | None = None
+    """What cloths, pictures and controls cover: regions (shirt+trousers+cap, hood, scarf or head) or a face list
+    (default: what a run was trained on, else shirt+trousers); a patch stays on the chest."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors that judge."""
     width_people: str | None = None
@@ -66,6 +69,7 @@ class Wear(Detecting):
                 detectors,
                 self.backgrounds,
                 images=self.images,
+                logo=self.logo,
                 out=self.out,
                 settings=self.settings,
                 on_progress=tell,

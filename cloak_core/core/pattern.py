@@ -14,6 +14,7 @@ from cloak_core.core.linear import SparseMap
 from cloak_core.core.logo import Cover
 from cloak_core.core.places import Places
 from cloak_core.core.view import BakedView
+from cloak_core.files.errors import InputError
 
 Recolor = Callable[[Float[np.ndarray, "C 3"]], Float[np.ndarray, "C 3"]]
 """Makes other colours of some: as a printer and a camera do, say."""
@@ -60,6 +61,13 @@ class Pattern:
     def recolored(self, change: Recolor) -> Pattern:
         """Wear the same in other colours."""
         raise NotImplementedError
+
+    def on(self, cover: Cover) -> Pattern:
+        """Wear the same on other faces. InputError: it has colours of faces."""
+        if cover.key == self.cover.key:
+            return self
+        message = "these are colours of faces, which stay on theirs; a cloth or a picture covers any"
+        raise InputError(f"--logo {cover.name}: {message}")
 
     # --- colours as they are trained
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from cloak_core.core.linear import SparseMap
+from cloak_core.core.logo import Cover
 from cloak_core.core.places import Places
 from cloak_core.patterns.cloth import ClothPattern
 from cloak_core.patterns.footprint import squares_under
@@ -28,6 +29,10 @@ class ChestPattern(ClothPattern):
         inside = ((at >= 0) & (at < size)).all(0) & (places.face >= 0)
         low, high = (at - places.extent / 2).clamp(min=0), torch.minimum(at + places.extent / 2, size)
         return squares_under((low + high) / 2, high - low, inside, grid.square, grid.rows, grid.columns)
+
+    def on(self, cover: Cover) -> ChestPattern:
+        """See `Pattern`: it stays on the chest."""
+        return self
 
     @property
     def layout(self) -> tuple:

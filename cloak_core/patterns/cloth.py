@@ -115,6 +115,10 @@ class ClothPattern(Pattern):
         """See `Pattern`."""
         return replace(self, colors=np.asarray(change(self.colors), np.float32))
 
+    def on(self, cover: Cover) -> ClothPattern:
+        """See `Pattern`."""
+        return replace(self, cover=cover)
+
     @cached_property
     def edges(self) -> Int64[np.ndarray, "E 2"]:
         """Pairs of squares that share a side."""

@@ -30,9 +30,9 @@ from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.patterns.controls import controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.people import People
+from cloak_core.sources.photographs.source import fit_wearers
 from cloak_core.studies.cycles import in_cycles
 from cloak_core.studies.film import write_turntable
 from cloak_core.studies.imagery import drawn_images, flat_views, people_images
@@ -85,7 +85,11 @@ def show_bodies(
         "logo_faces": len(pattern.cover),
         "pattern": pattern.identity,
     }
-    circumstances = {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
+    circumstances = {
+        "cover": pattern.cover.name,
+        "settings": asdict(settings) | {"angles": [float(a) for a in angles]},
+        "inputs": inputs,
+    }
     circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
 
     def draw_more(folder: Path, trial: int, detectors: Mapping[str, Detector], threshold: float) -> dict:
@@ -116,15 +120,16 @@ def show_people(
     Beside C6's keys the summary has people, photographs, left_out, and fit (means over the people's fits).
     """
     check_asked(detectors)
-    fits, framing = fit_people(people), WearSettings(size=settings.size)
+    shown, fits = fit_wearers(people, [pattern])
+    framing = WearSettings(size=settings.size)
     # What dressing alone does is among the controls.
     names = dict.fromkeys((CLOTHING, *settings.controls, *([RESAMPLED] if settings.controls else [])))
     patterns = {LOGO: pattern} | controls(tuple(names), pattern, settings.seed)
     images = people_images(fits, backgrounds, framing, next(iter(detectors.values())).device)
     unseen, warnings = photographs_seen_in_training(training, people)
-    shown = those_who_fit(people, fits)
     counts = {"people": len(shown), "photographs": len(shown.photographs)}
     circumstances = counts | {
+        "cover": pattern.cover.name,
         "left_out": shown.left_out,
         "fit": mean_quality(fits),
         "settings": {key: getattr(settings, key) for key in PEOPLE_SETTINGS}

@@ -78,7 +78,7 @@ def make_film(
     images = film_images(bodies, backgrounds, path, settings, patterns, next(iter(detectors.values())).device)
     with kept_frozen(detectors) as hashes:
         results = measure(images, patterns, detectors, batch=settings.batch, on_progress=on_progress)
-    summary = summarize_film(results, settings, approaches(path)) | {"out": str(out)}
+    summary = summarize_film(results, settings, approaches(path)) | {"cover": pattern.cover.name, "out": str(out)}
     save_film(out, draw_frames(images, patterns, results, settings), settings.fps)
     numbers = out / "film.json" if kind == "folder" else out.with_suffix(".json")
     inputs = {"scene": bodies.name, "topology": bodies.topology, "detector_hashes": hashes}

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float32, UInt8
 
 from cloak_core.core.geometry import sum_by_face
-from cloak_core.core.logo import Cover, load_logo, select_region
+from cloak_core.core.logo import Cover, load_logo
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import read_picture
 from cloak_core.core.prints import print_picture
@@ -33,7 +33,7 @@ from cloak_core.studies.trained_run import read_run
 from cloak_core.zoo.entry import MARK, run_path
 
 CLOTHES = "shirt+trousers"
-"""What a picture covers as cloth, and the controls."""
+"""What a picture covers as cloth, and the controls, where nothing else is said."""
 CHEST = 0.40
 """Middle of a picture on the chest: metres above the middle of the hips of the body at rest."""
 FLIPPED = "@flipped"
@@ -44,11 +44,10 @@ Opened = tuple[Pattern, dict | None, str]
 """A pattern in its colours, the config.json of the training of these (None where there is none), and its name."""
 
 
-@lru_cache(maxsize=1)
-def clothes_cover() -> Cover:
-    """Shirt and trousers of the sample bodies."""
-    bodies = sample_bodies()
-    return Cover(select_region(bodies, CLOTHES), bodies.topology)
+@lru_cache(maxsize=8)
+def clothes_cover(logo: str | None = None) -> Cover:
+    """Faces of the sample bodies: regions or a face list, else shirt and trousers. InputError: there are none."""
+    return load_logo(sample_bodies(), logo or CLOTHES)
 
 
 @lru_cache(maxsize=1)
@@ -56,14 +55,15 @@ def _chest_cover() -> Cover:
     """The faces of chest and hips that look forward, of the sample bodies."""
     rig, topology = body_rig(), sample_bodies().topology
     forward = np.isin(rig.segment_of_triangle(), (NUMBER["chest"], NUMBER["pelvis"])) & (rig.normals[:, 2] > 0.1)
-    return Cover(np.unique(faces_on_rig(topology)[forward]), topology)
+    return Cover(np.unique(faces_on_rig(topology)[forward]), topology, name="chest")
 
 
 def cover_of_run(folder: Path, config: dict, bodies: Bodies | None = None) -> Cover:
     """Read the faces that a run covers. InputError: they are not those of `bodies`, where some are given."""
+    name = config.get("cover") or Path(config.get("inputs", {}).get("logo", "logo")).stem
     if bodies is not None:
-        return load_logo(bodies, folder / "logo.npy")
-    return Cover(np.asarray(read_face_list(folder / "logo.npy").ids, np.int64), config["topology"])
+        return replace(load_logo(bodies, folder / "logo.npy"), name=name)
+    return Cover(np.asarray(read_face_list(folder / "logo.npy").ids, np.int64), config["topology"], name=name)
 
 
 def run_pattern(folder: Path, cover: Cover, bodies: Bodies | None = None) -> Pattern:
@@ -87,14 +87,29 @@ def snapshot_pattern(folder: Path, colors: Path, cover: Cover) -> Pattern:
     return ClothPattern.of_picture(cover, read_picture(picture), cloth_metres(folder))
 
 
-def open_run(folder: Path, config: dict, colors: str | os.PathLike | None, bodies: Bodies | None = None) -> Opened:
-    """Open a run's own colours (its name is ""), or others on the faces that it covers; see `open_pattern`."""
+def open_run(
+    folder: Path,
+    config: dict,
+    colors: str | os.PathLike | None,
+    bodies: Bodies | None = None,
+    logo: str | os.PathLike | None = None,
+) -> Opened:
+    """Open a run's own colours (its name is ""), or others on the faces that it covers; see `open_pattern`.
+
+    logo: a face list or regions of `bodies` (else the sample bodies) that wear it instead; they join the name.
+    """
     cover = cover_of_run(folder, config, bodies)
     if colors is None:
-        return run_pattern(folder, cover, bodies), config, ""
-    named = os.fspath(colors)
-    # A zoo entry is called as its folder is: the name becomes part of a path.
-    return open_pattern(os.fspath(run_path(named)) if named.startswith(MARK) else named, cover, bodies)
+        pattern, training, name = run_pattern(folder, cover, bodies), config, ""
+    else:
+        named = os.fspath(colors)
+        # A zoo entry is called as its folder is: the name becomes part of a path.
+        named = os.fspath(run_path(named)) if named.startswith(MARK) else named
+        pattern, training, name = open_pattern(named, cover, bodies)
+    if logo is None:
+        return pattern, training, name
+    chosen = load_logo(bodies or sample_bodies(), logo)
+    return pattern.on(chosen), training, "-".join(part for part in (name, chosen.name) if part)
 
 
 def open_pattern(spec: str, cover: Cover | None = None, bodies: Bodies | None = None) -> Opened:

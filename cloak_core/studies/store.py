@@ -31,6 +31,7 @@ from cloak_core.files.writing import new_folder, write_json
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.photographs.fits import NOBODY, Fits, fit_people
 from cloak_core.sources.photographs.people import People
+from cloak_core.sources.photographs.source import fit_wearers
 from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.imagery import drawn_images, people_images
 from cloak_core.studies.opening import clothes_cover
@@ -212,12 +213,18 @@ class RunStore(TrainingStore):
                     results.save(temporary / "scores.npz")
         return read_results(folder / "scores.npz")
 
-    def measure_people(self, worn: Patterns, people: People, settings: WearSettings) -> Results:
-        """Measure what all detectors say of people in photographs in these patterns and the controls, or find it."""
+    def measure_people(
+        self, worn: Patterns, people: People, settings: WearSettings, logo: str | None = None
+    ) -> Results:
+        """Measure what all detectors say of people in photographs in these patterns and the controls, or find it.
+
+        logo: what the controls cover (`clothes_cover`).
+        """
         detectors = self.split.detectors
         device = detectors[self.specs[0]].device
-        images = people_images(fit_people(people), self.split.unseen_backgrounds, settings, device)
-        patterns = dict(worn) | controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover()), settings.seed)
+        fits = fit_wearers(people, worn.values())[1]
+        images = people_images(fits, self.split.unseen_backgrounds, settings, device)
+        patterns = dict(worn) | controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover(logo)), settings.seed)
         return self.measure_once(images, patterns, detectors, settings, "people", ())
 
 

@@ -168,7 +168,8 @@ def test_every_value_of_a_card_is_held_against_something(cards: Path, monkeypatc
         passed |= {place} if unnoticed(card) else set()
         if not isinstance(table[last], float):  # those are figures, and there are many
             del table[last]
-            assert not unnoticed(card), f"without {place}"
+            # Cards of earlier versions say no cover: theirs is shirt and trousers.
+            assert place == ("cover",) or not unnoticed(card), f"without {place}"
     assert passed == {place for place in places if is_said(place)}
     assert len(places) > 450 and len(passed) < 12
 

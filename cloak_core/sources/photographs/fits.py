@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 
 from cloak_core.files.caching import DiskCache, MemoryCache, cache_folder
 from cloak_core.files.errors import InputError
@@ -29,6 +30,8 @@ MEMORY_BYTES = 256 << 20
 """Of fits that stay unpacked: a hundred people."""
 TOGETHER = 8
 """People of one job."""
+UNFIT, UNCOVERED = "does not fit", "nothing is covered"
+"""Why people are left out who are annotated well enough."""
 ALONE = 2 * TOGETHER
 """With fewer people to fit, starting processes takes longer than they save."""
 
@@ -61,6 +64,10 @@ class Fits(Sequence[Fit]):
     def __iter__(self) -> Iterator[Fit]:
         """Read one fit after the other."""
         return map(self._read, self.people)
+
+    def where(self, chosen: Iterable[bool]) -> Fits:
+        """Take the people for whom `chosen` is true."""
+        return Fits(compress(self.people, chosen), self._read)
 
     def qualities(self) -> Iterator[Mapping[str, float]]:
         """Say how well each fits (`Fit.quality`), without unpacking what lies on disk."""
@@ -171,8 +178,8 @@ def fits_well(quality: Mapping[str, float]) -> bool:
     return quality["covered"] >= LEAST_COVERED and quality["spilled"] <= MOST_SPILLED
 
 
-def those_who_fit(people: People, fits: Sequence[Fit]) -> People:
-    """Select the people of these fits, in their order; the others are left out, "does not fit"."""
+def those_who_fit(people: People, fits: Sequence[Fit], reason: str = UNFIT) -> People:
+    """Select the people of these fits, in their order; the others are left out, for this reason."""
     missing = len(people) - len(fits)
-    left_out = people.left_out | ({"does not fit": missing} if missing else {})
+    left_out = people.left_out | ({reason: missing} if missing else {})
     return replace(people, people=Fits.of(fits).people, left_out=left_out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -15,9 +15,11 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
+from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
-from cloak_core.sources.photographs.fits import Fits, people_identity
+from cloak_core.sources.photographs.fits import UNCOVERED, Fits, fit_people, people_identity, those_who_fit
 from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.views import (
     CONTEXT,
     FitJitter,
@@ -104,6 +106,22 @@ class PeopleSource:
         jitter = draw_jitter(random, self.settings)
         view = photograph_view(*place, framing, jitter, self.works_on)
         return replace(view, stream=(seed, person, _CLOTH))
+
+
+def fit_wearers(people: People, patterns: Iterable[Pattern]) -> tuple[People, Fits]:
+    """Fit people; leave out whom the body does not fit, and on whom one of the cloths shows nowhere.
+
+    InputError: nobody is left.
+    """
+    fits = fit_people(people)
+    fitting = those_who_fit(people, fits)
+    cloths = {pattern.cover.key: pattern.cover for pattern in patterns if pattern.period}.values()
+    positions = [logo_positions(cover.topology, cover.face_ids) for cover in cloths]
+    dressed = [all((position[fit.main] >= 0).any() for position in positions) for fit in fits]
+    if dressed and not any(dressed):
+        raise InputError(f"{people.name}: {' or '.join(cover.name for cover in cloths)} shows on nobody")
+    fits = fits.where(dressed)
+    return those_who_fit(fitting, fits, UNCOVERED), fits
 
 
 def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings, size: int) -> Framing:

@@ -22,8 +22,9 @@ from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import remove_all_leftovers, write_json
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.patterns.faces import FacePattern
-from cloak_core.sources.photographs.fits import fit_people, those_who_fit
+from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
+from cloak_core.sources.photographs.source import fit_wearers
 from cloak_core.studies.card import protocol
 from cloak_core.studies.card.expected import expected_card
 from cloak_core.studies.card.figures import VERSIONS, card_of, detector_facts, others_strongest
@@ -40,7 +41,7 @@ from cloak_core.studies.card.parts import (
 from cloak_core.studies.card.work import TRAINED, OnWork, Work
 from cloak_core.studies.data_split import people_record
 from cloak_core.studies.imagery import people_images
-from cloak_core.studies.opening import clothes_cover, open_pattern, run_pattern
+from cloak_core.studies.opening import CLOTHES, clothes_cover, open_pattern, run_pattern
 from cloak_core.studies.pace import Pace, measured_pace
 from cloak_core.studies.statistics_card import attack_record
 from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore
@@ -68,6 +69,8 @@ class Assessment:
     """People in photographs: the first ones are dressed in the largest cloak, another detector's, and the patterns."""
     patterns: Sequence[str] = ()
     """Pictures to be worn, as `open_pattern` takes them: FILE.png@tile=METRES, FILE.png@patch=METRES."""
+    logo: str | None = None
+    """What patterns cover, but for those on the chest: regions; None: shirt and trousers."""
     shown: dict[str, tuple[Trained, tuple[float, ...], dict]] = field(default_factory=dict, init=False)
     """What pictures may be taken of, by part: a cloak, its test azimuths and evaluation settings."""
     rows: dict[str, list[Results]] = field(default_factory=dict, init=False)
@@ -82,7 +85,8 @@ class Assessment:
         self.entries = self._entries()
         if self.people is not None:
             self.people = replace(self.people, people=self.people.people[: self.size.people])
-        self.opened = [(name, pattern) for pattern, _, name in map(open_pattern, self.patterns)]
+        cover, over = clothes_cover(self.logo), f" on {self.logo}" if self.logo else ""
+        self.opened = [(name + over, pattern.on(cover)) for pattern, _, name in map(open_pattern, self.patterns)]
         names = [name for name, _ in self.opened]
         if len(set(names)) < len(names):
             raise InputError(f"--patterns: {max(names, key=names.count)} is given twice")
@@ -198,6 +202,7 @@ class Assessment:
     def _asked(self) -> str:
         asked = {"size": asdict(self.size), "seed": self.store.options.seed, "protocol": protocol.VERSION}
         asked |= {"people": self.people and people_record(self.people), "patterns": list(self.patterns)}
+        asked |= {"cover": self.logo} if self.logo else {}
         return sha256_record(asked | VERSIONS | {"split": self.split.record()})
 
     def _head(self) -> dict:
@@ -208,6 +213,7 @@ class Assessment:
             "size": self.size.name,
             "spec": self.spec,
             **detector_facts(self.detector),
+            "cover": self.logo or CLOTHES,
             "made": made | environment(),
             "materials": materials,
             "left_patterns": self.left,
@@ -236,16 +242,17 @@ class Assessment:
         zoo = [row | attack_record(self.rows[f"zoo {row['name']}"][0], self.spec) for row in zoo]
         if strange := others_strongest(zoo):
             worn[MARK + strange["name"]] = open_pattern(MARK + strange["name"])[0]
-        results = self.store.measure_people(worn | dict(self.opened), self.people, WearSettings(bare=0))
-        self._keep(Part("people"), [results])
-        return {"left_out": those_who_fit(self.people, fit_people(self.people)).left_out}
+        worn |= dict(self.opened)
+        self._keep(Part("people"), [self.store.measure_people(worn, self.people, WearSettings(bare=0), self.logo)])
+        return {"left_out": fit_wearers(self.people, worn.values())[0].left_out}
 
     def _pattern(self, name: str, pattern: Pattern) -> dict | None:
-        """Show it a published pattern as cloth for shirt and trousers, from the front; None of a patch."""
+        """Show it a published pattern as cloth for shirt and trousers, or `logo`, from the front; None of a patch."""
         if not pattern.period:
             return None
         bodies = self.split.unseen
-        worn = replace(pattern, cover=self._cover(self._areas[-1]), bodies=bodies)
+        cover = load_logo(bodies, self.logo) if self.logo else self._cover(self._areas[-1])
+        worn = replace(pattern, cover=cover, bodies=bodies)
         self._measure(f"pattern {name}", [self.store.untrained(worn, Path(name))])
         return {"name": name}
 

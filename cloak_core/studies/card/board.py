@@ -19,6 +19,7 @@ from cloak_core.studies.card.figures import DETECTOR, detector_facts
 from cloak_core.studies.card.leaderboard import leaderboard_table, ranked, write_leaderboard
 from cloak_core.studies.card.page import CARD, write_card
 from cloak_core.studies.card.protocol import SIZES
+from cloak_core.studies.opening import CLOTHES
 from cloak_core.studies.report import page
 from cloak_core.studies.report.words import short_names
 
@@ -47,6 +48,7 @@ def check_together(cards: Mapping[Path, dict], detectors: Mapping[str, Detector]
 def _common(card: dict) -> Iterator[tuple[str, str, object]]:
     """List what a card has in common with others: the place, of which spec or size if not of all, and the value."""
     materials, spec, size = card["materials"], card["spec"], card["size"]
+    yield "cover", "", card.get("cover") or CLOTHES
     for name in SHARED:
         for key, value in materials[name].items():
             if key != "name":

@@ -18,6 +18,7 @@ from cloak_core.core.evaluation.results import NOBODY, TRUE_BOX, Results, read_r
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.trials import COLUMNS, draw_trials
 from cloak_core.files.errors import InputError
+from cloak_core.sources.photographs.fits import UNCOVERED, UNFIT
 from cloak_core.studies.card.certainty import UNTRAINED
 from cloak_core.studies.card.protocol import AGAINST, CLEAN_ANGLES, CLEAN_DISTANCES, CLEAN_ELEVATIONS, Size
 
@@ -157,7 +158,7 @@ def _numbers(trials: object) -> list:
 def _people_asked(told: Mapping, results: Results, size: Size) -> dict[str, tuple[object, object]]:
     """Compare the rows of people in photographs: each of them once, in the cloaks and patterns of the card."""
     people, rendered = told["materials"]["shown_people"]["count"], [row["name"] for row in told["patterns"]]
-    left_out = told["photographs"]["left_out"].get("does not fit", 0)
+    left_out = sum(told["photographs"]["left_out"].get(reason, 0) for reason in (UNFIT, UNCOVERED))
     worn, made = results.controls[: -len(UNTRAINED)], [AGAINST] * told["differentiable"]
     return {
         "people": (results.trials["pose"].tolist(), list(range(people - left_out))),

@@ -66,6 +66,7 @@ CARD = {
     "operating_point_assumed": FLAG,
     "differentiable": FLAG,
     "partial_gradient": TEXT,
+    "cover": Maybe(TEXT),
     "made": {name: SAID for name in ("cloak", "command", "python", "torch", "numpy", "platform")}
     | {"seed": COUNT, "threads": replace(COUNT, said=True)},
     "materials": {

@@ -15,20 +15,24 @@ from cloak_core.core.evaluation.measure import OnProgress, check_asked
 from cloak_core.core.evaluation.results import NOBODY, Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import false_alarms, finite, side_record, success_record
+from cloak_core.core.logo import Cover, select_region
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import new_folder, require_new, write_json, write_text
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import fit_people, those_who_fit
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.people import People
+from cloak_core.sources.photographs.source import fit_wearers
 from cloak_core.studies.evaluate import mean_quality
 from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.studies.wearing.pages import Album
 
 CONTROLS = (*STANDARD, RESAMPLED)
-"""What people wear beside what is judged, on shirt and trousers."""
+"""What people wear beside what is judged, on shirt and trousers or what --logo says."""
+GREY_HEADWEAR = "grey headwear"
+"""A control where heads are covered: own clothing with as much of the head in grey, which alone may hide somebody."""
 
 
 def wear_and_judge(
@@ -40,30 +44,42 @@ def wear_and_judge(
     settings: WearSettings | None = None,
     on_progress: OnProgress | None = None,
     more: Mapping[str, object] | None = None,
+    logo: str | None = None,
 ) -> dict:
     """Dress people in each of `colors` and in the controls, and judge them.
 
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
     CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person) and wear.json; nothing is left of
     it where this fails.
-    more: what the result says besides.
+    more: what the result says besides. logo: what cloths, pictures and controls cover (`clothes_cover`).
     Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
     check_asked(detectors)
-    patterns = {name: pattern for pattern, _, name in map(open_pattern, colors)}
+    cover = clothes_cover(logo)
+    patterns = {name: pattern.on(cover) if logo else pattern for pattern, _, name in map(open_pattern, colors)}
     for name in patterns:
         if len(patterns) < len(colors) or name in NAMES:
             raise InputError(f"{name}: given twice, or called as a control is")
-    patterns |= controls(CONTROLS, OwnClothing(clothes_cover()), settings.seed)
+    patterns |= controls(CONTROLS, OwnClothing(cover), settings.seed) | _grey_headwear(cover)
+    more = {"cover": cover.name} | dict(more or {})
     if out is None:
-        return _judged(patterns, people, detectors, backgrounds, settings, on_progress, None) | dict(more or {})
+        return _judged(patterns, people, detectors, backgrounds, settings, on_progress, None) | more
     require_new(out)
     with new_folder(out) as folder:
         result = _judged(patterns, people, detectors, backgrounds, settings, on_progress, folder)
-        result |= dict(more or {})
+        result |= more
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
+
+
+def _grey_headwear(cover: Cover) -> Patterns:
+    """Make `GREY_HEADWEAR` of what a cover has of the head; nothing where it has none."""
+    faces = np.intersect1d(cover.face_ids, select_region(sample_bodies(), "head"))
+    if not len(faces):
+        return {}
+    headwear = Cover(faces, cover.topology, name="headwear")
+    return {GREY_HEADWEAR: controls(("grey",), OwnClothing(headwear))["grey"]}
 
 
 def _judged(
@@ -76,8 +92,8 @@ def _judged(
     folder: Path | None,
 ) -> dict:
     """Dress every fitted person in everything and ask every detector; also about backgrounds without people."""
-    fits, points = fit_people(people), {spec: detector.operating_point for spec, detector in detectors.items()}
-    people = those_who_fit(people, fits)
+    people, fits = fit_wearers(people, patterns.values())
+    points = {spec: detector.operating_point for spec, detector in detectors.items()}
     images = people_images(fits, backgrounds, settings, next(iter(detectors.values())).device)
     album = None if folder is None else Album(folder, images.body_names, list(points.values()), list(points))
     bare = np.arange(min(settings.bare, len(backgrounds)))
@@ -89,7 +105,10 @@ def _judged(
         write_text(folder / "scores.csv", _table(results, people))
     return {
         "detectors": {
-            spec: {name: _record(results, spec, name, settings.threshold) for name in results.controls}
+            spec: {
+                name: _record(results, spec, name, settings.threshold) | {"cover": patterns[name].cover.name}
+                for name in results.controls
+            }
             for spec in detectors
         },
         "people": len(people),

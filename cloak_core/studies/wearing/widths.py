@@ -15,7 +15,7 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.imagery import people_images
-from cloak_core.studies.opening import open_pattern
+from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.studies.trained_run import trained_against
 
 AUTO = "@tile=auto"
@@ -31,6 +31,7 @@ def choose_widths(
     backgrounds: Backgrounds,
     settings: WearSettings,
     on_progress: OnProgress | None = None,
+    logo: str | None = None,
 ) -> tuple[list[str], dict[str, dict]]:
     """Replace each `@tile=auto` of COLORS by the width that hides most.
 
@@ -45,7 +46,7 @@ def choose_widths(
         if not given:
             raise InputError(f"{asked[0]}: needs {option}, on whom the width is chosen, and who does not judge")
     _require_strangers(people, detectors, *judging)
-    curves = {color: width_curve(color, people, detectors, backgrounds, settings, on_progress) for color in asked}
+    curves = {color: width_curve(color, people, detectors, backgrounds, settings, on_progress, logo) for color in asked}
     at_width = lambda color: color.replace(AUTO, f"@tile={curves[color]['chosen']:g}")
     return [at_width(color) if color in curves else color for color in colors], curves
 
@@ -57,14 +58,15 @@ def width_curve(
     backgrounds: Backgrounds,
     settings: WearSettings,
     on_progress: OnProgress | None = None,
+    logo: str | None = None,
 ) -> dict:
-    """Judge a picture, PICTURE@tile=auto, at each of `WIDTHS`.
+    """Judge a picture, PICTURE@tile=auto, at each of `WIDTHS`, on shirt and trousers or `logo` (`clothes_cover`).
 
     Returns "detectors" {SPEC: {METRES: {"success", "success_own"}}}, "people", "photographs", and "chosen": the width
     in metres with the largest mean of both rates over the detectors, the narrower one of equals.
     """
     opened = [open_pattern(color.replace(AUTO, f"@tile={metres:g}")) for metres in WIDTHS]
-    patterns = {name: pattern for pattern, _, name in opened}
+    patterns = {name: pattern.on(clothes_cover(logo)) for pattern, _, name in opened}
     names = list(patterns)
     images = people_images(fit_people(people), backgrounds, settings, next(iter(detectors.values())).device)
     results = measure(images, patterns, detectors, batch=settings.batch, on_progress=on_progress)
