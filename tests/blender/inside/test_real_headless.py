@@ -45,6 +45,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     from cloak.poses.export import export_bodies
     from cloak.poses.poses import PoseChoice
     from cloak.trainer.command_lines import cloak_command, options, sample_words
+    from cloak.trainer.consent import allow
     from cloak.trainer.jobs import Job
 
     python = str(real_trainer)
@@ -60,6 +61,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     obj = samples.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
     write_scene(tmp_path / "scene", export_bodies(bpy.context, obj, PoseChoice()))
+    allow([f"python:{RED}:load"])
     given = options([f"python:{RED}:load"], backgrounds="procedural:train:2", angles="0:0:1")
     words = [*heatmap_words(given, tmp_path), "--events", tmp_path / "e"]
     answer("Heatmap", cloak_command(python, *words, "--pick", "0.1"))
