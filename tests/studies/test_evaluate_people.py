@@ -192,7 +192,8 @@ def test_other_colours_printers_and_snapshots_are_judged_on_people(run: Path, pa
     assert printed["detectors"]["builtin"]["logo"]["mean_score"] == plain["detectors"]["builtin"]["logo"]["mean_score"]
     assert (run / "evaluation-people-printed").exists()
     cloth = evaluate(run, people=path, colors="zoo:transfer-people", **HOW)
-    assert cloth["unseen"] == {"photographs": True} and not cloth["warnings"]
+    # Its record, of an earlier version, has no copies of the photographs by which parts of them are found again.
+    assert cloth["unseen"] == {"photographs": None} and "parts of trained ones is not known" in cloth["warnings"][0]
     Image.new("RGB", (8, 8), (128, 128, 128)).save(tmp_path / "grey.png")
     worn = evaluate(run, people=path, colors=f"{tmp_path / 'grey.png'}@tile=0.5", **HOW)
     assert worn["detectors"]["builtin"]["logo"]["mean_score"] == pytest.approx(
