@@ -44,7 +44,7 @@ class Print(AboutRun):
 
     def run(self) -> dict:
         from cloak_core.exchange.profiles import read_profile
-        from cloak_core.products.printing import print_logo
+        from cloak_core.products.printing import print_pattern
         from cloak_core.sources.bodies.logos.palette import read_palette
         from cloak_core.studies.opening import open_run
 
@@ -60,7 +60,7 @@ class Print(AboutRun):
         pattern, _, _ = open_run(folder, config, None, bodies)
         how = {"title": folder.resolve().name, "palette": palette, "project": self.project, "profile": profile}
         how |= {"own_pattern": self.pieces == "own", "allowance": self.allowance_cm / 100}
-        report = print_logo(bodies, pattern, self.out, dpi=self.dpi, page=self.page, **how)
+        report = print_pattern(bodies, pattern, self.out, dpi=self.dpi, page=self.page, **how)
         return {"out": str(self.out)} | report
 
     def show(self, result: dict) -> None:

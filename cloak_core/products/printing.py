@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Integer
 from PIL import Image
 
+from cloak_core.core.logo import Cover
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.polygons import per_corner, polygon_loops
@@ -15,6 +16,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, require_new, write_bytes, write_json, write_text
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.baking import Texture, bake
 from cloak_core.products.layout import Layout, lay_out
 from cloak_core.products.print_sheets import write_sheets
@@ -28,6 +30,17 @@ MOST_ALLOWANCE = 0.05
 
 
 def print_logo(
+    bodies: Bodies,
+    face_ids: Integer[np.ndarray, " logo"],
+    colors: Float32[np.ndarray, "logo 3"],
+    out: str | Path,
+    **options: object,
+) -> dict:
+    """Print one colour a face, sRGB in [0, 1]. options and what is raised: `print_pattern`."""
+    return print_pattern(bodies, FacePattern(Cover(face_ids, bodies.topology), colors=colors), out, **options)
+
+
+def print_pattern(
     bodies: Bodies,
     pattern: Pattern,
     out: str | Path,

@@ -21,7 +21,7 @@ from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.baking import Texture, bake
 from cloak_core.products.layout import Layout, lay_out, signed_areas
-from cloak_core.products.printing import OVERPRINTS, nearest_printable, print_logo
+from cloak_core.products.printing import OVERPRINTS, nearest_printable, print_logo, print_pattern
 from cloak_core.products.seams import find_borders
 from cloak_core.products.tiling import PAGES, cloth_of, pages, tiles
 from cloak_core.sources.bodies.meshes.importing import import_bodies
@@ -162,7 +162,7 @@ def test_the_textured_body_looks_like_the_coloured_one(body: Bodies, noise: Face
 
 @pytest.mark.slow
 def test_print_folder(tmp_path: Path, body: Bodies, noise: FacePattern) -> None:
-    report = print_logo(body, noise, tmp_path / "print", dpi=DPI)
+    report = print_pattern(body, noise, tmp_path / "print", dpi=DPI)
     files = {path.name for path in (tmp_path / "print").iterdir()}
     assert files == {"cloak.png", "body.glb", "body.obj", "body.mtl", "sheets.pdf", "print.json"}
     assert json.loads((tmp_path / "print" / "print.json").read_text()) | {"out": report["out"]} == report
@@ -212,7 +212,7 @@ def test_what_a_printer_can_mix() -> None:
 def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodies) -> None:
     ids = select_region(body, "chest")[:4]
     green = faces_in(body, ids, np.tile([0, 1, 0], (4, 1)))
-    report = print_logo(body, green, tmp_path / "p", dpi=50, project=True)
+    report = print_pattern(body, green, tmp_path / "p", dpi=50, project=True)
     assert report["unprintable_colors"] == 4 and report["projected"]
     glb = import_bodies([tmp_path / "p" / "body.glb"])
     painted = glb.face_colors[0][np.isin(body.triangle_face, ids)]
@@ -228,12 +228,12 @@ def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodie
 )
 def test_bad_options(tmp_path: Path, body: Bodies, noise: FacePattern, options: dict, says: str) -> None:
     with pytest.raises(InputError, match=says):
-        print_logo(body, noise, tmp_path / "p", **options)
+        print_pattern(body, noise, tmp_path / "p", **options)
     assert not (tmp_path / "p").exists()
     (tmp_path / "q").mkdir()
     (tmp_path / "q" / "x").write_text("mine")
     with pytest.raises(InputError, match="exists"):
-        print_logo(body, noise, tmp_path / "q")
+        print_pattern(body, noise, tmp_path / "q")
 
 
 @pytest.mark.slow
@@ -241,7 +241,7 @@ def test_projecting_on_a_palette_leaves_only_its_colours(body: Bodies, tmp_path:
     palette = np.array([[0, 0, 0], [1, 0.5, 0]])
     ids = select_region(body, "chest")[:4]
     colors = np.float32([[0.9, 0.5, 0.1], [0, 0, 0], [0.1, 0, 0.2], [1, 0.5, 0]])
-    report = print_logo(body, faces_in(body, ids, colors), tmp_path / "p", dpi=50, project=True, palette=palette)
+    report = print_logo(body, ids, np.float32(colors), tmp_path / "p", dpi=50, project=True, palette=palette)
     assert report["unprintable_colors"] == 2
     picture = np.asarray(Image.open(tmp_path / "p" / "cloak.png").convert("RGB")).reshape(-1, 3)
     assert {(0, 0, 0), (255, 128, 0)} <= set(map(tuple, picture.tolist()))
@@ -254,7 +254,7 @@ def test_with_a_profile_the_sheets_have_what_is_to_be_sent(body: Bodies, tmp_pat
     profile = Profile((0.2 + 0.6 * sent).astype(np.float32))
     ids = select_region(body, "chest")[:4]
     colors = np.float32([[0.5, 0.3, 0.2], [0.8, 0.8, 0.2], [0.0, 0.5, 1.0], [0.5, 0.3, 0.2]])
-    report = print_logo(body, faces_in(body, ids, colors), tmp_path / "p", dpi=50, profile=profile)
+    report = print_pattern(body, faces_in(body, ids, colors), tmp_path / "p", dpi=50, profile=profile)
     assert report["unprintable_colors"] == 1 and report["profile"]
     with Image.open(tmp_path / "p" / "cloak.png") as shown, Image.open(tmp_path / "p" / "to-print.png") as to_print:
         shown, to_print = (np.asarray(picture.convert("RGB")).reshape(-1, 3) / 255 for picture in (shown, to_print))
@@ -338,7 +338,7 @@ def color_codes(colors: np.ndarray) -> np.ndarray:
 def test_sheets_of_a_cloth_count_its_colours(tmp_path, body, logo):
     squares = np.float32([[0, 1, 0], [1, 1, 1], [0, 1, 0], [1, 1, 1]])
     cloth = ClothPattern(Cover(logo, body.topology), Grid(0.1, 2, 2), squares)
-    report = print_logo(body, cloth, tmp_path / "out", dpi=50, project=True)
+    report = print_pattern(body, cloth, tmp_path / "out", dpi=50, project=True)
     assert (report["colors"], report["unprintable_colors"]) == (4, 2)
     image = np.asarray(Image.open(tmp_path / "out" / "cloak.png")).reshape(-1, 3)
     assert not (image == [0, 255, 0]).all(1).any(), "no four-colour printer mixes it"

@@ -11,7 +11,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.layout import lay_out, signed_areas
-from cloak_core.products.printing import print_logo
+from cloak_core.products.printing import print_pattern
 from cloak_core.products.seams import SPACING, find_borders, seam_marks
 from cloak_core.sources.bodies.people.samples import sample_bodies
 
@@ -107,11 +107,11 @@ def test_an_allowance_surrounds_the_pieces_and_takes_room(tmp_path):
     colors = np.full((body.face_count, 3), 0.5, np.float32)
     grey = FacePattern(Cover(np.arange(body.face_count), body.topology), colors=colors)
     told = [
-        print_logo(body, grey, tmp_path / str(cm), dpi=30, own_pattern=True, allowance=cm / 100) for cm in (0.0, 5.0)
+        print_pattern(body, grey, tmp_path / str(cm), dpi=30, own_pattern=True, allowance=cm / 100) for cm in (0.0, 5.0)
     ]
     assert told[0]["marks"] == told[1]["marks"] == round(HEIGHT / SPACING) and told[1]["pages"] > told[0]["pages"]
     with pytest.raises(InputError, match="an allowance of 6 cm"):
-        print_logo(body, grey, tmp_path / "wide", allowance=0.06)
+        print_pattern(body, grey, tmp_path / "wide", allowance=0.06)
     with pytest.raises(InputError, match="has no UV map"):
-        print_logo(replace(body, uv=None, triangle_uv=None), grey, tmp_path / "none", own_pattern=True)
+        print_pattern(replace(body, uv=None, triangle_uv=None), grey, tmp_path / "none", own_pattern=True)
     assert not (tmp_path / "wide").exists() and not (tmp_path / "none").exists()
