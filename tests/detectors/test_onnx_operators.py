@@ -53,6 +53,7 @@ OPERATORS = {
     "an attribute that is new, as it was before": ("Cast", 19, 1, {}, {"to": onnx.TensorProto.FLOAT, "saturate": 1}),
     "sizes": ("Split", 18, 2, {"sizes": ints(1, 4)}, {"axis": 1}),
     "parts": ("Split", 18, 2, {}, {"axis": 1, "num_outputs": 2}),
+    "one part": ("Split", 13, 1, {"sizes": ints(5)}, {"axis": 1}),
     "scales": ("Resize", 19, 1, {"roi": None, "scales": reals(1, 1, 2, 2)}, {"antialias": 0}),
     "axes as an input": ("ReduceMax", 20, 1, {"axes": ints(1, 2)}, {"keepdims": 0}),
     "all axes": ("ReduceMean", 18, 1, {}, {}),

@@ -104,14 +104,14 @@ class Function(nn.Module):
 
 
 class EvenSplit(nn.Module):
-    """Split into a number of equal parts, of which the last may be smaller."""
+    """Split into a number of equal parts, of which the last may be smaller; one part is the whole."""
 
     def __init__(self, count: int, axis: int) -> None:
         super().__init__()
         self.count, self.axis = count, axis
 
-    def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        return x.split(-(-x.shape[self.axis] // self.count), self.axis)
+    def forward(self, x: Tensor, sizes: Tensor | None = None) -> tuple[Tensor, ...] | Tensor:
+        return x if self.count == 1 else x.split(-(-x.shape[self.axis] // self.count), self.axis)
 
 
 Build = Callable[[OnnxNode], nn.Module]
@@ -184,9 +184,13 @@ def _normalize_from(axis: int, epsilon: float, x: Tensor, scale: Tensor, bias: T
     return F.layer_norm(x, x.shape[axis:], scale, bias, epsilon)
 
 
-@_translates("Split", lambda node, _: any(a.name == "num_outputs" for a in node.attribute))
+def _splits_otherwise(node: onnx.NodeProto, constants: Constants) -> bool:
+    return len(node.output) == 1 or any(attribute.name == "num_outputs" for attribute in node.attribute)
+
+
+@_translates("Split", _splits_otherwise)
 def _split(node: OnnxNode) -> nn.Module:
-    return EvenSplit(node.attributes["num_outputs"], node.attributes.get("axis", 0))
+    return EvenSplit(len(node.output_values), node.attributes.get("axis", 0))
 
 
 class TopK(nn.Module):
