@@ -271,7 +271,7 @@ def _page(lines: list[tuple[str, str, Row | None, str]]) -> str:
             continue
         found = f"{row.scores:.0e}, {row.boxes_px:.0e} px" if row.white_box and row.scores is not None else ""
         marks = ["yes" if mark else "no" for mark in (row.white_box, row.hardened)]
-        why = row.why.partition(".onnx: ")[2] or row.why
+        why = (row.why.partition(".onnx: ")[2] or row.why).partition("; say ")[0]
         text.append(f"| {network} | {exporter} | {row.opset} | {' | '.join(marks)} | {found or why} |")
     return "\n".join(text) + "\n"
 
