@@ -79,7 +79,7 @@ class CloakPanel(bpy.types.Panel):
             wrapped(self.layout, context, NO_BODY if body_reason(context) else reason)
 
     def outcome(self, context: bpy.types.Context, *labels: str) -> None:
-        """Draw how the last of this panel's jobs ended; the panel on top shows those that run."""
+        """Draw how this panel's last job ended. Running jobs stand in the panel on top."""
         job = session.job_of(*labels)
         if job and not job.active and job.message:
             bad = job.state == "failed" or job.is_bad_news

@@ -86,7 +86,7 @@ def tool_at_work() -> str:
 
 
 def between_strokes(seconds: float, meanwhile: Callable[[], None] = lambda: None) -> Callable:
-    """Decorate a timer's function: while a tool is at work, `meanwhile` is called instead, every so many seconds.
+    """Make a timer's function wait for tools: while one is at work, call `meanwhile` every `seconds` instead.
 
     What a stroke holds of the scene is gone after a write or an undo step in its middle, and Blender crashes.
     """

@@ -172,7 +172,7 @@ class Loop:
         return self._earlier + time.perf_counter() - self._started
 
     def due(self, every: int) -> bool:
-        """Tell whether what happens every so many steps happens after this one; never with 0."""
+        """Tell whether this step ends a turn of `every` steps; with 0 none does."""
         return every > 0 and self.step % every == 0
 
     def tell(self, kind: str, **more: object) -> None:

@@ -49,7 +49,7 @@ class Places:
 
     @staticmethod
     def of_faces(count: int, device: torch.device | str = "cpu") -> Places:
-        """Make each worn face a place of its own, of which nobody says where on a cloth it lies."""
+        """Make each worn face a place. Where it lies on a cloth is not known."""
         nowhere = torch.full((2, count), torch.nan, device=device)
         return Places(torch.arange(count, device=device), nowhere, nowhere, lambda: SparseMap.identity(count, device))
 

@@ -164,7 +164,7 @@ class _Walk:
 
     def _module(self, module: types.ModuleType) -> None:
         if not _is_part_of_package(module):
-            raise TypeError("a module of the user's, of which anything may be asked")
+            raise TypeError("a module of the user, whose every value may decide")
         self._say("module", module.__name__, _version(module.__name__))
 
     def _installed(self, name: str, file: str | None) -> None:

@@ -68,7 +68,7 @@ class ClothPattern(Pattern):
     cover: Cover
     grid: Grid
     colors: Float32[np.ndarray, "S 3"] | None = None
-    """Those that it is judged in."""
+    """The squares' colours that are judged; None: it is to be trained."""
     bodies: Bodies | None = None
     """Whose faces `on_faces` shows it on."""
     needs_cloth = True

@@ -30,7 +30,7 @@ class FacePattern(Pattern):
     cover: Cover | Logo
     bodies: Bodies | None = None
     colors: Float32[np.ndarray, "L 3"] | None = None
-    """Those that it is judged in."""
+    """The colours that are judged; None: it is to be trained."""
 
     def __post_init__(self) -> None:
         if self.colors is not None and len(self.colors) != len(self.cover):

@@ -1,4 +1,4 @@
-"""Operators that onnx2torch has no translation for, or a wrong one, and versions newer than those that it knows.
+"""Translations of ONNX operators that onnx2torch lacks, has wrong, or knows in older versions alone.
 
 Most newer versions of an operator only take more types: they are translated as the version before, unless a node uses
 an attribute or an input that is new. Importing this module imports onnx2torch.
@@ -26,7 +26,7 @@ Constants = Mapping[str, onnx.TensorProto]
 
 
 def make_translatable(model: onnx.ModelProto) -> list[dict[str, object]]:
-    """Rewrite, in place, the operators of a graph into those that have a translation; list the others.
+    """Rewrite a graph's operators, in place, so that each has a translation. List those without one.
 
     Returns {"op", "version", "node"} of each. What is written has a meaning for `onnx2torch.convert` alone.
     """
@@ -104,7 +104,7 @@ class Function(nn.Module):
 
 
 class EvenSplit(nn.Module):
-    """Split into a number of equal parts, of which the last may be smaller; one part is the whole."""
+    """Split into equal parts. The last may be smaller; a single part is the whole tensor."""
 
     def __init__(self, count: int, axis: int) -> None:
         super().__init__()

@@ -178,7 +178,7 @@ def reads(node: onnx.NodeProto) -> Iterator[str]:
 
 
 def _reads(graph: onnx.GraphProto) -> Iterator[str]:
-    """Yield what every node reads, but for those that only copy, and what the graph returns."""
+    """Yield the inputs of every node that does more than copy, then the graph's outputs."""
     for node in graph.node:
         if node.op_type not in COPIES:
             yield from reads(node)
