@@ -7,38 +7,16 @@ corners stands again and again.
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from torch import Tensor
+
+from cloak_core.core.visibility.clipping import cut
 
 TOUCH = 1e-12
 """Pixels within which a corner counts as lying on a line: rounding stays below 1e-13."""
 
 Line = tuple[Tensor, Tensor, Tensor]
 """a, b and c of each of N lines: a x + b y + c >= 0 on the inner side, in pixels."""
-
-
-def cut(
-    corners: Float64[Tensor, "C D N"], distance: Float64[Tensor, "C N"]
-) -> tuple[Float64[Tensor, "K D N"], Int64[Tensor, " N"]]:
-    """Keep the part where the distance, linear and given at each corner, is not negative (Sutherland and Hodgman).
-
-    Also returns how many corners each has, 0 where nothing is left. A crossing point is always computed from the inner
-    end of its edge towards the outer one, so two polygons that share an edge cut it in the very same point.
-    """
-    after, following = corners.roll(-1, 0), distance.roll(-1, 0)
-    inside, crossing = distance >= 0, distance * following < 0
-    start, end = (torch.where(inside.unsqueeze(1), *pair) for pair in ((corners, after), (after, corners)))
-    inner, outer = (torch.where(inside, *pair) for pair in ((distance, following), (following, distance)))
-    fraction = torch.where(crossing, inner / torch.where(crossing, inner - outer, 1.0), 0.0).unsqueeze(1)
-    points = torch.stack([corners, start + fraction * (end - start)], 1).flatten(0, 1)
-    emitted = torch.stack([inside, crossing], 1).flatten(0, 1)
-    count = emitted.sum(0)
-    # Emitted points move up to the front; behind them the last stands again.
-    order = torch.argsort(~emitted, dim=0, stable=True)
-    room = max(3, int(count.max())) if count.numel() else 3
-    slot = torch.arange(room, device=count.device).unsqueeze(1)
-    source = order.gather(0, torch.minimum(slot, (count - 1).clamp(min=0)))
-    return points.gather(0, source.unsqueeze(1).expand(-1, corners.shape[1], -1)), count
 
 
 def distances(corners: Float64[Tensor, "C 2 N"], line: Line) -> Float64[Tensor, "C N"]:
