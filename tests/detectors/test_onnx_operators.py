@@ -99,6 +99,13 @@ def test_what_is_new_and_used_is_named(operation: str, constants: dict, attribut
     assert caught.value.untranslated == [{"op": operation, "version": 18, "node": "it"}]
 
 
+def test_what_one_file_may_borrow_another_may_not() -> None:
+    constants, attributes = {"roi": None, "scales": reals(1, 1, 0.5, 0.5)}, {"mode": "linear"}
+    prepared(model_of("Resize", 18, 1, constants, **attributes))
+    with pytest.raises(NotConvertible, match="no translation for Resize of version 18"):
+        prepared(model_of("Resize", 18, 1, constants, **attributes, antialias=1))
+
+
 def made(**spoilt: float) -> Made:
     """A network with what is new since opset 18, and a cast that is listed after its use."""
     made = Made()

@@ -52,17 +52,26 @@ def _version(node: onnx.NodeProto, opset: int) -> int:
         return opset
 
 
+_BORROWED: dict[tuple[str, str, int], int] = {}
+"""By domain, operator and version registered here: the version whose translation it has. The registry is one for all
+files of a process, and what one file may borrow another may not."""
+
+
 def _is_known(node: onnx.NodeProto, version: int) -> bool:
     """Tell whether a node has a translation; an older version's is registered for its own where it means the same."""
-    for older in range(version, 0, -1):
+    operator = node.domain, node.op_type
+    for registered in range(version, 0, -1):
         try:
-            translation = get_converter(node.op_type, older, node.domain)
+            translation = get_converter(node.op_type, registered, node.domain)
         except NotImplementedError:
             continue
-        if older < version and not _uses_what_is_new(node, version, older):
+        meant = _BORROWED.get((*operator, registered), registered)
+        if meant < version and _uses_what_is_new(node, version, meant):
+            return False
+        if registered < version:
             add_converter(node.op_type, version, node.domain)(translation)
-            return True
-        return older == version
+            _BORROWED[*operator, version] = meant
+        return True
     return False
 
 
