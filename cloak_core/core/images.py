@@ -117,16 +117,20 @@ class ImageSet:
 
     def compose(self, indices: Indices, patterns: Sequence[Pattern]) -> Iterator[Float[Tensor, "B 3 H W"]]:
         """Render these trials in one pattern after the other, in [0, 1]; each may reuse the memory of the last."""
-        last: tuple[Hashable, list[BakedView], Canvas] | None = None
+        made: dict[Hashable, list[BakedView]] = {}  # a source asks a pattern for no more than its faces, and for places
+        last: tuple[Hashable, Canvas] | None = None
         background = self.trials.get("background", pd.Series(np.zeros(len(self.trials), np.int64))).to_numpy()
         for pattern in patterns:
-            views = self.views(indices, pattern)
-            layout = tuple(map(id, views)), pattern.layout
+            asked = pattern.cover.key, pattern.needs_cloth
+            if asked not in made:
+                made[asked] = self.views(indices, pattern)
+            views = made[asked]
+            colors = torch.stack([pattern.colors_in(view, int(i)) for view, i in zip(views, indices, strict=True)])
+            layout = asked, pattern.layout, colors.shape[1]  # own clothes are faces of a body, and none of a photograph
             if last is None or last[0] != layout:
                 rows = self.backdrop(views, background[np.asarray(indices, np.int64)])
-                last = layout, views, dressed(views, pattern, rows, self.shifts(indices))
-            colors = [pattern.colors_in(view, int(i)) for view, i in zip(views, indices, strict=True)]
-            yield last[2].paint(torch.stack(colors))
+                last = layout, dressed(views, pattern, rows, self.shifts(indices))
+            yield last[1].paint(colors)
 
     def judged(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> tuple[Detections, OnBody]:
         """Keep what is said of each image's person, and find the best scores on them: of persons, of other classes.
