@@ -54,7 +54,10 @@ def prepared(model: onnx.ModelProto) -> onnx.ModelProto:
     copied.CopyFrom(model)
     _sort(copied.graph)
     _lift_constants(copied.graph)
-    missing = make_translatable(copied)
+    try:
+        missing = make_translatable(copied)
+    except Exception as error:  # a damaged file's, which onnx meets where a tensor is first read
+        raise _unexpected(error) from None
     if missing:
         first, more = missing[0], len(missing) - 1
         place = f"node {first['node']}{f' and {more} more' if more else ''}"
@@ -82,9 +85,13 @@ def to_torch(model: onnx.ModelProto, fold: bool = True) -> fx.GraphModule:
     except NotImplementedError as error:
         missing = getattr(error, "args", [""])[0]
         raise NotConvertible(f"no translation for {missing}") from None
-    except Exception as error:  # whatever a translation, or our rewriting, meets that it did not expect
-        raise NotConvertible(f"{type(error).__name__}: {first_line(error)[:120]}") from None
+    except Exception as error:  # whatever a translation meets that it did not expect
+        raise _unexpected(error) from None
     return graph
+
+
+def _unexpected(error: Exception) -> NotConvertible:
+    return NotConvertible(f"{type(error).__name__}: {first_line(error)[:120]}")
 
 
 def _sort(graph: onnx.GraphProto) -> None:
