@@ -29,7 +29,7 @@ from torch import Tensor
 from cloak_core.bench.accuracy_report import write_report
 from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
 from cloak_core.bench.peers import PeerViewCache, available, usable
-from cloak_core.bench.reference import Matrix, Reference, matrix_of, reference
+from cloak_core.bench.reference import EXACT, Matrix, Reference, matrix_of, reference
 from cloak_core.bench.views import cached_render, clock, machine, timed
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import CrowdedPixels
@@ -99,7 +99,7 @@ def measure(scene: Scene, repeats: int, threads: int, peers: dict[str, str]) -> 
     points = []
     for name, caches, times in _points(scene, light, repeats, threads, peers):
         points.append({"name": name} | times() | judge.errors(*caches))
-    record = {"triangles": scene.bodies.triangle_count, "reference": exact.how}
+    record = {"triangles": scene.bodies.triangle_count, "reference": EXACT}
     return record | {"pixels": int((exact.matrix.coverage > 0).sum()), "points": points}
 
 
@@ -149,7 +149,6 @@ class Judge:
         self.camera = scene.camera
         self.exact = exact.matrix
         self.areas = exact.areas
-        self.crowded = exact.crowded
         self.colors = smooth_colors(scene.bodies)
         self.black = torch.zeros(self.camera.width * self.camera.height, 3)
         generator = torch.Generator().manual_seed(0)
@@ -181,7 +180,7 @@ class Judge:
         }
 
     def _matrix(self, cache: ViewCache) -> Matrix:
-        return matrix_of(cache.build([(0, self.camera)])[0], self.exact.face_count).without(self.crowded)
+        return matrix_of(cache.build([(0, self.camera)])[0], self.exact.face_count)
 
     def _image_rms(self, ours: Matrix, exact: Matrix) -> float:
         return self._rms(ours, ours.image(self.colors, self.black) - exact.image(self.colors, self.black))

@@ -1,6 +1,6 @@
-"""The reference that views are judged by: the torch renderer's exact areas, with the light integrated over them.
+"""The reference that views are judged by: exact areas in pixels an eighth as wide, each part lit by itself.
 
-Areas come from the torch backend (held against exact fractions by `bench stability`), light from its float64 twin: the
+Areas come from the loops (`bench stability` holds them against exact fractions), light from its float64 twin: the
 formula of `torch.shading`, ray by ray in world space.
 """
 
@@ -15,10 +15,11 @@ from torch import Tensor
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.geometry import vertex_normals
-from cloak_core.core.view import View, Window
+from cloak_core.core.view import Fragments, View, Window
 from cloak_core.core.visibility.clipping import flatten
+from cloak_core.core.visibility.cpu.areas import visible_areas
+from cloak_core.core.visibility.screen import GUARD
 from cloak_core.core.visibility.settings import Light
-from cloak_core.core.visibility.torch.areas import Parts, visible_parts
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.view_cache import ViewCache
 
@@ -77,7 +78,9 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.where(length > 0, length, 1)
 
 
-EXACT = "exact areas by torch"
+EXACT = "exact areas in finer pixels"
+FINER = (8, 4, 2, 1)
+"""Finer pixels along a pixel's side. The light's error falls with their square: 64 times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +106,6 @@ class Matrix:
         result = torch.zeros(self.face_count, 3, dtype=torch.float64)
         return result.index_add_(0, self.face, self.weight.double().unsqueeze(1) * upstream.double()[self.pixel])
 
-    def without(self, pixels: Int64[Tensor, " C"]) -> Matrix:
-        """The same view with nothing to see in these pixels."""
-        kept = ~torch.isin(self.pixel, pixels)
-        coverage, specular = (values.index_fill(0, pixels, 0) for values in (self.coverage, self.specular))
-        return Matrix(self.pixel[kept], self.face[kept], self.weight[kept], coverage, specular, self.face_count)
-
 
 def matrix_of(view: View, face_count: int) -> Matrix:
     """Make the matrix of a view."""
@@ -130,62 +127,36 @@ class Reference:
     """Without light: weights are shares of pixels, and there is no highlight."""
     visible: Float64[Tensor, " F"]
     """Pixels of each face that are visible."""
-    crowded: Int64[Tensor, " C"]
-    """Pixels of too many pieces to be exact: they are empty here, and nothing is compared in them."""
-    how: str
-    """`EXACT`, and how many crowded pixels it leaves out if any."""
 
 
 def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
-    """Integrate coverage and light over what is visible of one view. Takes seconds to minutes."""
+    """Sum coverage and light over the visible parts of finer pixels of one view. Takes seconds to minutes."""
     cache = ViewCache(bodies)
     key = [(pose, camera)]
-    twin = TwinLight(bodies, camera, light, pose)
     screen = cache.screen(key)
     flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, cache.cull(key, screen))
-    integrals, crowded = [], [torch.zeros(0, dtype=torch.int64)]
-    for parts in visible_parts(flat, Window(0, 0, camera.width, camera.height), camera.width):
-        triangle = parts.triangles.ids[parts.pieces.owner]
-        integrals.append((parts.pieces.place, triangle, _integrate(parts, triangle, twin, camera.width)))
-        crowded.append(parts.pieces.place[parts.crowded].unique())
-    nothing = torch.zeros(0, dtype=torch.int64)
-    pixel, triangle, sums = (
-        torch.cat(column, -1) for column in zip((nothing, nothing, torch.zeros(3, 0).double()), *integrals, strict=True)
+    # The same snapped corners on a finer screen, as far as its guard band reaches: near planes cut beyond the image.
+    extent = max((int(t.abs().max()) for t in (flat.x, flat.y) if len(t)), default=0)
+    finer = next(n for n in FINER if n == 1 or n * extent <= GUARD)
+    width, height = camera.width * finer, camera.height * finer
+    flat = replace(flat, x=flat.x * finer, y=flat.y * finer)
+    parts = visible_areas(flat, Window(0, 0, width, height), width)
+    twin = TwinLight(bodies, camera, light, pose)
+    lit = [twin(part.triangle.numpy(), *((t / finer).numpy() for t in (part.x, part.y))) for part in parts]
+    parts = Fragments.join(parts)
+    column, row = parts.pixel % width // finer, parts.pixel // width // finer
+    area = parts.area.double() / finer**2
+    weight, highlight = (area * torch.from_numpy(np.concatenate(t)) for t in zip(*lit, strict=True))
+    entry, own = torch.unique(
+        (row * camera.width + column) * bodies.triangle_count + parts.triangle, return_inverse=True
     )
-    some = (sums[0] > 0).nonzero().view(-1)
-    pixel, triangle, (area, weight, highlight) = pixel[some], triangle[some], sums[:, some]
-    face = torch.from_numpy(bodies.triangle_face.astype(np.int64))[triangle]
+    area, weight, highlight = (_sums(own, t, len(entry)) for t in (area, weight, highlight))
+    pixel = entry // bodies.triangle_count
+    face = torch.from_numpy(bodies.triangle_face.astype(np.int64))[entry % bodies.triangle_count]
     coverage, specular = (_sums(pixel, t, camera.height * camera.width) for t in (area, highlight))
     matrix = Matrix(pixel, face, weight, coverage, specular, bodies.face_count)
     areas = replace(matrix, weight=area, specular=torch.zeros_like(coverage))
-    left_out = torch.cat(crowded)
-    how = EXACT + (f", without {len(left_out)} crowded pixels" if len(left_out) else "")
-    return Reference(matrix, areas, _sums(face, area, bodies.face_count), left_out, how)
-
-
-def _integrate(parts: Parts, triangle: Int64[Tensor, " P"], twin: TwinLight, width: int) -> Float64[Tensor, "3 P"]:
-    """Integrate area, weight and highlight of every piece, with three points for each triangle of its parts' fans.
-
-    The points integrate quadratic functions exactly.
-    """
-    sums = torch.zeros(3, len(triangle), dtype=torch.float64)
-    shape = parts.shape
-    for k in range(1, len(shape) - 1):
-        corners = torch.stack([shape[0], shape[k], shape[k + 1]])
-        (ax, ay), (bx, by), (cx, cy) = corners
-        area = ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)).abs() / 2
-        some = (area > 0).nonzero().view(-1)
-        owner = parts.owner[some]
-        area = area[some]
-        middle = corners.mean(0) / 2
-        place = parts.pieces.place[owner]
-        for corner in corners:
-            x, y = (corner / 2 + middle)[:, some]
-            y = y + torch.div(place, width, rounding_mode="floor")
-            values = twin(triangle[owner].numpy(), (x + place % width).numpy(), y.numpy())
-            for total, value in zip(sums, (1.0, *map(torch.from_numpy, values)), strict=True):
-                total.index_add_(0, owner, value * area / 3)
-    return sums
+    return Reference(matrix, areas, _sums(face, area, bodies.face_count))
 
 
 def _sums(index: Tensor, values: Tensor, count: int) -> Float64[Tensor, " count"]:

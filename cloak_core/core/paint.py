@@ -19,7 +19,7 @@ from torch.autograd.graph import increment_version
 
 from cloak_core.core.linear import LinearMap
 from cloak_core.core.view import BakedView
-from cloak_core.core.visibility.backend import LogoMatrix, backend
+from cloak_core.core.visibility.backend import backend
 
 
 def compose(
@@ -72,8 +72,8 @@ class Canvas:
     """What the logo's pixels show beside the logo: the rest of the body, the highlight, the background at an edge."""
     target: Int64[Tensor, " M"]
     """Rows of the logo's pixels; the last row for pixels that a shift moves out of the image."""
-    logo: LogoMatrix
-    """What the logo's colours add to them."""
+    logo: object
+    """What the logo's colours add to them: the backend's `LogoMatrix`."""
     scale: Float32[Tensor, "B 1 3"] | None
     """The light's colour, which multiplies the logo's colours; None: white in every image."""
     logo_count: int

@@ -128,12 +128,12 @@ class Fragments:
     its centroid."""
 
     @staticmethod
-    def join(parts: Iterable[Fragments], device: torch.device) -> Fragments:
+    def join(parts: Iterable[Fragments]) -> Fragments:
         """Concatenate fragments, from top to bottom."""
         parts = list(parts)
         if len(parts) == 1:
             return parts[0]
-        whole = torch.zeros(0, dtype=torch.int64, device=device)
+        whole = torch.zeros(0, dtype=torch.int64)
         none = Fragments(whole, whole, whole.float(), whole.double(), whole.double())
         parts.append(none)
         return Fragments(*(torch.cat([getattr(part, column.name) for part in parts]) for column in fields(Fragments)))

@@ -65,17 +65,6 @@ def test_unknown_scene_is_named() -> None:
         accuracy.run_bench_accuracy(sphere(100), only=("moon",))
 
 
-def test_nothing_is_compared_in_pixels_that_the_reference_gave_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = accuracy.Scene(sphere(1500, 0.5), Camera(width=48, height=48, distance=2.5))
-    monkeypatch.setattr("cloak_core.core.visibility.torch.hidden_parts.MOST_PIECES", 12)
-    exact = reference(scene.bodies, scene.camera, Light())
-    shown, left_out = int((exact.matrix.coverage > 0).sum()), len(exact.crowded)
-    assert shown and left_out and exact.how == f"{EXACT}, without {left_out} crowded pixels"
-    caches = (ViewCache(scene.bodies, RenderSettings(light=kind)) for kind in (Light(), FLAT))
-    errors = accuracy.Judge(scene, exact).errors(*caches)
-    assert errors["coverage_rms"] < 1e-6 and errors["hidden"] < 1e-6 and errors["starved"] == 0
-
-
 @pytest.mark.parametrize("name", ["shell-1mm", "garment", "cards"])
 def test_scenes_of_overlapping_surfaces_are_exact_by_area_and_leak_by_samples(name: str) -> None:
     scene = accuracy.make_scene(name, sphere(300, 0.9))

@@ -17,24 +17,18 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
+import numba
 import numpy as np
 import torch
+from numba.core import event
 
 from cloak_core.files.errors import InputError
-
-try:
-    import numba
-    from numba.core import event
-except ImportError:  # a Python that there is no numba for (yet): torch's operations do everything
-    numba = None
 
 _log = logging.getLogger("cloak")
 
 
 def loop(function: Callable, **options: object) -> Callable:
     """Compile a function of arrays and numbers; it releases the interpreter, so that threads run side by side."""
-    if numba is None:
-        return function
     # Under pytest, functions come wrapped in a check of types, which cannot be compiled.
     function = inspect.unwrap(function)
     try:
@@ -62,27 +56,26 @@ def inner(function: Callable) -> Callable:
     return loop(function, _nrt=False)
 
 
-if numba is not None:
+class _Saying(event.Listener):
+    """Says that loops are being compiled, before the first of a process: it takes most of a minute, in silence."""
 
-    class _Saying(event.Listener):
-        """Says that loops are being compiled, before the first of a process: it takes most of a minute, in silence."""
+    has_said = False
 
-        has_said = False
+    def on_start(self, event: event.Event) -> None:
+        dispatcher = event.data["dispatcher"]
+        if self.has_said or not dispatcher.py_func.__module__.startswith("cloak_core."):
+            return
+        self.has_said = True
+        kept = hasattr(dispatcher.stats, "cache_path") and dispatcher.stats.cache_path
+        often = "once after installation" if kept else "at every start: no folder to keep them in can be written to"
+        _log.warning("compiling the loops that draw, %s: about a minute, longer on a busy machine", often)
 
-        def on_start(self, event: event.Event) -> None:
-            dispatcher = event.data["dispatcher"]
-            if self.has_said or not dispatcher.py_func.__module__.startswith("cloak_core."):
-                return
-            self.has_said = True
-            kept = hasattr(dispatcher.stats, "cache_path") and dispatcher.stats.cache_path
-            often = "once after installation" if kept else "at every start: no folder to keep them in can be written to"
-            _log.warning("compiling the loops that draw, %s: about a minute, longer on a busy machine", often)
+    def on_end(self, event: event.Event) -> None:
+        pass
 
-        def on_end(self, event: event.Event) -> None:
-            pass
 
-    _saying = _Saying()
-    event.register("numba:compile", _saying)
+_saying = _Saying()
+event.register("numba:compile", _saying)
 
 
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
@@ -92,7 +85,7 @@ _kernels = os.environ.get("CLOAK_TRITON")
 
 def use_loops(device: torch.device) -> bool:
     """Tell whether work on this device is done by loops."""
-    return numba is not None and device.type == "cpu" and not _switched_off
+    return device.type == "cpu" and not _switched_off
 
 
 def use_kernels(device: torch.device) -> bool:
@@ -111,7 +104,6 @@ def use_kernels(device: torch.device) -> bool:
 
 @cache
 def _is_triton_there() -> bool:
-    """Asked in every step, looked for once."""
     return importlib.util.find_spec("triton") is not None
 
 

@@ -8,7 +8,6 @@ corners: identical triangles tie, and ties go to the lower id.
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Int64
 from torch import Tensor
 
@@ -22,8 +21,3 @@ EMPTY = (1 << 63) - 1
 def triangle_ids(packed: Int64[Tensor, "*N"]) -> Int64[Tensor, "*N"]:
     """Unpack the triangle ids, -1 for `EMPTY`."""
     return (packed << (64 - ID_BITS)) >> (64 - ID_BITS)
-
-
-def unpack_inverse_depth(packed: Int64[Tensor, "*N"]) -> Tensor:
-    """Unpack near plane over view z, float64 in [0, 1] (truncated to `DEPTH_BITS` bits)."""
-    return (LIMIT - (packed >> ID_BITS)).to(torch.float64) / (1 << DEPTH_BITS)

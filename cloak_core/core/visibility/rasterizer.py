@@ -17,6 +17,7 @@ from torch import Tensor
 from cloak_core.core.view import Cull, Fragments, Screen, Visibility, Window
 from cloak_core.core.visibility.backend import backend
 from cloak_core.core.visibility.clipping import flatten
+from cloak_core.core.visibility.cpu.areas import visible_areas
 from cloak_core.core.visibility.packing import EMPTY, ID_BITS
 from cloak_core.core.visibility.screen import GRID
 from cloak_core.files.errors import InputError
@@ -39,7 +40,7 @@ def rasterize(
     cull: the triangles that are dropped where they show their back.
     window: the part of the image to work on; where absent, the bounding box of the bodies on the screen.
 
-    Nothing is differentiable. Memory follows the window's samples plus a few arrays of `triangles.chunk_size` elements.
+    Nothing is differentiable. Memory follows the window's samples plus a few arrays of `torch.sampling.CHUNK` elements.
     """
     if triangles.shape[1] > MAX_TRIANGLES:
         raise InputError(f"{triangles.shape[1]} triangles in one body; at most {MAX_TRIANGLES} can be told apart")
@@ -57,13 +58,13 @@ def rasterize(
 
 
 def area_fragments(screen: Screen, triangles: Int64[Tensor, "3 T"], cull: Cull, window: Window) -> Fragments:
-    """Find the fragments of one view by exact area, in closed form, without samples.
+    """Find the fragments of one view by exact area, in closed form, without samples; on the CPU alone.
 
     Every triangle is cut by the pixels that it touches, and where pieces overlap, by the nearer ones. triangles, cull
     and window as for `rasterize`. Warns of `CrowdedPixels`.
     """
     flat = flatten(screen, triangles, 0, cull)
-    return Fragments.join(backend(screen.x.device).visible_areas(flat, window, screen.width), screen.x.device)
+    return Fragments.join(visible_areas(flat, window, screen.width))
 
 
 def merge_samples(visibility: Visibility) -> Fragments:

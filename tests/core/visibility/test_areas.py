@@ -1,6 +1,5 @@
 """Coverage by exact area: against exact fractions, discs and many samples, also where surfaces overlap."""
 
-import contextlib
 import warnings
 from dataclasses import replace
 
@@ -14,7 +13,6 @@ from cloak_core.bench.reference import matrix_of, reference
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import CrowdedPixels, Window
 from cloak_core.core.visibility.clipping import flatten
-from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.core.visibility.cpu import areas as area_loops
 from cloak_core.core.visibility.cpu.edge_hash import hash_corners
 from cloak_core.core.visibility.cpu.pieces import find_candidates, find_pieces
@@ -22,8 +20,6 @@ from cloak_core.core.visibility.cpu.workspace import Mesh
 from cloak_core.core.visibility.rasterizer import area_fragments, rasterize
 from cloak_core.core.visibility.screen import GRID
 from cloak_core.core.visibility.settings import Light, RenderSettings
-from cloak_core.core.visibility.torch import areas
-from cloak_core.core.visibility.torch import triangles as torch_triangles
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.view_cache import ViewCache
 
@@ -113,10 +109,8 @@ def exact_shares(case: Case, size: int) -> dict:
 def test_areas_are_those_of_exact_fractions(make: object, seed: int) -> None:
     case = make(np.random.default_rng(seed))
     exact = exact_shares(case, SIZE)
-    for path in (contextlib.nullcontext, torch_alone):
-        with path():
-            ours = shares(case)
-        assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0))) for key in {*ours, *exact}) < 1e-6
+    ours = shares(case)
+    assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0))) for key in {*ours, *exact}) < 1e-6
     assert sum(exact.values()) > 0.5 and min(exact.values()) < 0.2
 
 
@@ -125,26 +119,24 @@ def test_hundreds_of_small_pieces_in_a_pixel_are_exact() -> None:
     """Small triangles that hide and pierce each other, all in the one pixel."""
     case = small_triangles(120)
     exact = exact_shares(case, 1)
-    for path in (contextlib.nullcontext, torch_alone):
-        with path(), warnings.catch_warnings():
-            warnings.simplefilter("error")
-            ours = shares(case, 1)
-        assert len(ours) > 60
-        assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0.0))) for key in {*ours, *exact}) < 1e-6
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ours = shares(case, 1)
+    assert len(ours) > 60
+    assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0.0))) for key in {*ours, *exact}) < 1e-6
 
 
-@pytest.mark.parametrize("path", ["loops", "torch"])
-def test_crowded_pixels_are_sampled_and_counted(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beyond the bound: shares of 64 x 64 samples, the same for loops and torch, and the lower id among equals."""
+def test_crowded_pixels_are_sampled_and_counted() -> None:
+    """Beyond the bound: shares of 64 x 64 samples, and the lower id among equals."""
     case = small_triangles(5000)
-    with torch_alone() if path == "torch" else contextlib.nullcontext(), pytest.warns(CrowdedPixels, match="1 pixels"):
+    with pytest.warns(CrowdedPixels, match="1 pixels"):
         found = shares(case, 1)
     large = screen_of(case[0] * 8, case[1] * 8, case[2], 8, 8)  # 8 x 8 pixels of 8 x 8 samples: the same 64 x 64
     ids = rasterize(large, torch.from_numpy(case[3].T.copy()), 8).triangles().numpy()
     names, counts = np.unique(ids[ids >= 0], return_counts=True)
     assert found == {(0, name): count / 64**2 for name, count in zip(names.tolist(), counts.tolist(), strict=True)}
     x, y, _, triangles = small_triangles(5000)
-    with torch_alone() if path == "torch" else contextlib.nullcontext(), pytest.warns(CrowdedPixels):
+    with pytest.warns(CrowdedPixels):
         level = shares((x, y, np.full(len(x), 0.5), np.concatenate([triangles, triangles])), 1)
     assert max(triangle for _, triangle in level) < 5000
 
@@ -155,14 +147,11 @@ def small_triangles(count: int) -> Case:
     return x.ravel(), y.ravel(), rng.uniform(0.1, 1, 3 * count), np.arange(3 * count).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("path", ["loops", "torch"])
-def test_small_bands_change_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_small_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     case = soup(np.random.default_rng(5))
-    with torch_alone() if path == "torch" else contextlib.nullcontext():
-        whole = shares(case)
-        monkeypatch.setattr(area_loops, "MOST_PAIRS", 2)
-        monkeypatch.setattr(torch_triangles, "CHUNK", 7)
-        assert shares(case) == whole
+    whole = shares(case)
+    monkeypatch.setattr(area_loops, "MOST_PAIRS", 2)
+    assert shares(case) == whole
 
 
 def test_a_thin_shell_hides_all_that_is_within() -> None:
@@ -237,22 +226,17 @@ def test_nothing_seen_is_an_empty_view() -> None:
         assert len(ViewCache(sphere(14, 20), RenderSettings(light=FLAT)).view(0, away).pixels) == 0
 
 
-@pytest.mark.parametrize("path", ["loops", "torch"])
-def test_triangles_that_fill_the_screen_are_dropped_before_they_are_stored(path: str) -> None:
+def test_triangles_that_fill_the_screen_are_dropped_before_they_are_stored() -> None:
     """Of 200 level layers over all of the image, in any order, hardly more than one is ever held."""
     count, size = 200, 24
     x, y = (np.tile(np.array(corners) * size * GRID, count) for corners in ([-1, 3, -1], [-1, -1, 3]))
     depth = np.repeat(np.random.default_rng(0).permutation(count) / 250 + 0.1, 3)
     screen, window = screen_of(x, y, depth, size, size), Window(0, 0, size, size)
     triangles = torch.arange(3 * count).view(-1, 3).T.contiguous()
-    flat = flatten(screen, triangles, 0)
-    if path == "loops":
-        arrays = flat.arrays()
-        candidates = find_candidates(arrays[0], arrays[1], arrays[3], arrays[5], 0, size, 0, size)
-        mesh, most = Mesh(*arrays[:5], hash_corners(*arrays[:2])), int(candidates[-1].sum())
-        held = len(find_pieces(mesh, candidates, 0, size, 0, size, most)[0])
-    else:
-        held = sum(len(part.pixel) for part in areas.visible_areas(flat, window, size))
+    arrays = flatten(screen, triangles, 0).arrays()
+    candidates = find_candidates(arrays[0], arrays[1], arrays[3], arrays[5], 0, size, 0, size)
+    mesh, most = Mesh(*arrays[:5], hash_corners(*arrays[:2])), int(candidates[-1].sum())
+    held = len(find_pieces(mesh, candidates, 0, size, 0, size, most)[0])
     found = area_fragments(screen, triangles, None, window)
     assert held <= 2 * size * size
     assert (found.triangle == int(depth[::3].argmax())).all() and found.area.sum() == size * size

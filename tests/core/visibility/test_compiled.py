@@ -1,19 +1,12 @@
-"""Loops are compiled whether or not there is a place to keep what the compiler made, and not needed at all."""
+"""Loops are compiled whether or not there is a place to keep what the compiler made."""
 
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import pytest
 from numba.core import caching, event
 
-from cloak_core.bench.growth import sphere
-from cloak_core.core.cameras import Camera
 from cloak_core.core.visibility import compiled
-from cloak_core.core.visibility.compiled import loop, torch_alone
-from cloak_core.sources.bodies.view_cache import ViewCache
-
-CAMERA = Camera(width=48, height=64)
+from cloak_core.core.visibility.compiled import loop
 
 
 def doubled(value):
@@ -40,23 +33,6 @@ def test_kept_loops_are_stale_when_a_file_that_they_call_changes(tmp_path, monke
     compiled._source_stamp.cache_clear()
     assert loop(doubled)._cache._cache_file._source_stamp != before
     compiled._source_stamp.cache_clear()
-
-
-@pytest.mark.slow
-def test_without_numba_torch_does_it_all() -> None:
-    code = """
-import sys
-sys.modules["numba"] = None
-from cloak_core.bench.growth import sphere
-from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.core.cameras import Camera
-print(float(ViewCache(sphere(600)).view(0, Camera(width=48, height=64)).map.weight.sum()))
-"""
-    without = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
-    with torch_alone():
-        torch_own = float(ViewCache(sphere(600)).view(0, CAMERA).map.weight.sum())
-    assert without == torch_own
-    assert abs(float(ViewCache(sphere(600)).view(0, CAMERA).map.weight.sum()) - without) < 1e-3 * without
 
 
 @pytest.mark.parametrize(("folder", "often"), [("/somewhere", "once after installation"), (None, "at every start")])

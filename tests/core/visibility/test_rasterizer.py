@@ -8,11 +8,11 @@ from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import Window
 from cloak_core.core.visibility.compiled import torch_alone
-from cloak_core.core.visibility.packing import unpack_inverse_depth
+from cloak_core.core.visibility.packing import DEPTH_BITS, ID_BITS, LIMIT
 from cloak_core.core.visibility.projection import project
 from cloak_core.core.visibility.rasterizer import rasterize
 from cloak_core.core.visibility.screen import GRID, GUARD
-from cloak_core.core.visibility.torch import triangles as torch_triangles
+from cloak_core.core.visibility.torch import sampling as torch_sampling
 from cloak_core.files.errors import InputError
 
 HALF = GRID // 2
@@ -116,7 +116,7 @@ def test_equal_depths_go_to_the_lower_id_across_chunks(monkeypatch: pytest.Monke
     corner = np.array([[0, 0], [8, 0], [0, 8]]) * GRID
     screen = screen_of(corner[:, 0], corner[:, 1], np.full(3, 0.5), 4, 4)
     triangles = triangles_of([[0, 1, 2]] * 50)
-    monkeypatch.setattr(torch_triangles, "CHUNK", 7)
+    monkeypatch.setattr(torch_sampling, "CHUNK", 7)
     with torch_alone():
         assert (rasterize(screen, triangles, 4).triangles() == 0).all()
 
@@ -127,7 +127,7 @@ def test_small_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = random_screen(rng, 60, 20, 12, GRID)
     triangles = triangles_of(rng.integers(0, 60, (200, 3)))
     whole = rasterize(screen, triangles, 4).packed
-    monkeypatch.setattr(torch_triangles, "CHUNK", 64)
+    monkeypatch.setattr(torch_sampling, "CHUNK", 64)
     with torch_alone():
         assert torch.equal(rasterize(screen, triangles, 4).packed, whole)
 
@@ -162,7 +162,7 @@ def test_depth_is_perspective_correct() -> None:
     x, y = np.array([0, 64, 0]) * GRID, np.array([0, 0, 64]) * GRID
     screen = screen_of(x, y, np.array([1.0, 0.1, 0.5]), 64, 64)
     visibility = rasterize(screen, triangles_of([[0, 1, 2]]))
-    depth = unpack_inverse_depth(visibility.packed[0])
+    depth = (LIMIT - (visibility.packed[0] >> ID_BITS)).double() / (1 << DEPTH_BITS)
     row, column = torch.meshgrid(torch.arange(40).double() + 0.5, torch.arange(20).double() + 0.5, indexing="ij")
     expected = 1.0 - 0.9 * column / 64 - 0.5 * row / 64
     np.testing.assert_allclose(depth[:40, :20], expected, rtol=1e-10)

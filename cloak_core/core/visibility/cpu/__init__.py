@@ -1,17 +1,8 @@
-"""The stages of `backend.Backend` as numba loops, for the CPU."""
+"""The stages of a render as numba loops, for the CPU; `backend` lists them."""
 
-from cloak_core.core.visibility.cpu.areas import visible_areas
-from cloak_core.core.visibility.cpu.baking import split
-from cloak_core.core.visibility.cpu.matrix import build_view
-from cloak_core.core.visibility.cpu.painting import draw_bodies, logo_matrix
-from cloak_core.core.visibility.cpu.sampling import cover, merge_samples
-
-__all__ = [
-    "build_view",
-    "cover",
-    "draw_bodies",
-    "logo_matrix",
-    "merge_samples",
-    "split",
-    "visible_areas",
-]
+from cloak_core.core.visibility.cpu.baking import split as split
+from cloak_core.core.visibility.cpu.matrix import build_view as build_view
+from cloak_core.core.visibility.cpu.painting import draw_bodies as draw_bodies
+from cloak_core.core.visibility.cpu.painting import logo_matrix as logo_matrix
+from cloak_core.core.visibility.cpu.sampling import cover as cover
+from cloak_core.core.visibility.cpu.sampling import merge_samples as merge_samples

@@ -24,7 +24,10 @@ number. They are counted by row because bands depend on the number of threads.""
 
 
 def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[Fragments]:
-    """See `Backend.visible_areas`."""
+    """Find each triangle's exact visible share in each pixel of a window of an image `width` pixels wide.
+
+    In parts from top to bottom. Warns of `CrowdedPixels`.
+    """
     x, y, inverse_depth, corner, ids, one_sided = flat.arrays()
     mesh = Mesh(x, y, inverse_depth, corner, ids, hash_corners(x, y))
     columns = window.x0, window.x1

@@ -20,7 +20,7 @@ ZERO, HALF, ONE, WHITE = np.float32(0), np.float32(0.5), np.float32(1), np.float
 def split(
     view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor, int, SparseMap]:
-    """See `Backend.split`."""
+    """See `torch/baking.py`."""
     pixels, coverage = view.pixels, view.coverage
     crow, face, weight = view.map.crow, view.map.column, view.map.weight
     position = torch.full((len(colors),), -1)

@@ -3,6 +3,9 @@
 Overlap depth changes only at boundary edges. The hash is antisymmetric, h(a, b) = -h(b, a): contributions of
 neighbouring triangles cancel. So where the sum over the edges that cross a pixel is 0, every point of the pixel lies in
 equally many triangles: if the areas also add up to 1, nothing overlaps and nothing is left open.
+
+Exact up to a coincidence: that 64 bits of different edges add up to 0 has a probability of about 2^-60 a pixel, and the
+areas would have to add up to 1 besides.
 """
 
 from __future__ import annotations
@@ -14,7 +17,9 @@ from cloak_core.core.visibility.compiled import inner, loop
 WHOLE = 1e-6
 """Shares that add up to 1 within this fill the pixel once where all edges are shared: else they add up to 0 or 2."""
 _MIX = 0x2545F4914F6CDD1D
+"""The multiplier of xorshift64* (Vigna 2016); shifts on both sides of it spread every bit over the others."""
 _OTHER = 0x1B873593CC9E2D51
+"""Those of MurmurHash3, put together. Two unlike hashes make h(a, b) = f(a) g(b) - f(b) g(a) antisymmetric, not 0."""
 _START = 0x5851F42D4C957F2D
 """With this no place inside the guard band hashes to 0, which would tell nothing."""
 

@@ -44,6 +44,7 @@ def fill_front(front, mesh, candidates, x0, x1, y0, y1):
     """Raise `front` to the triangles that fill pixels of the band."""
     index, areas, first, last, _ = candidates
     for k in range(len(index)):
+        # What touches fewer than three rows or columns hardly ever fills a pixel by itself.
         if (last[k] - first[k] < 2) | (last[k] < y0) | (first[k] >= y1):
             continue
         t = index[k]
@@ -55,13 +56,15 @@ def fill_front(front, mesh, candidates, x0, x1, y0, y1):
         far = min(mesh.inverse_depth[a], mesh.inverse_depth[b], mesh.inverse_depth[c])
         for row in range(max(first[k], y0), min(last[k], y1 - 1) + 1):
             above, below = _span(mesh, a, b, c, row << PIXEL), _span(mesh, a, b, c, (row + 1) << PIXEL)
+            # A triangle is convex: columns within it at the top and the bottom of a row are filled. 1e-6 pixels are
+            # more than the rounding of both ends.
             begin = np.int64(np.ceil(max(above[0], below[0]) + 1e-6))
             end = np.int64(np.floor(min(above[1], below[1]) - 1e-6)) - 1
             if begin > end:
                 continue
             level = row_bounds(mesh, plane, row)
             for column in range(max(begin, x0), min(end, x1 - 1) + 1):
-                low = pixel_bounds(level, plane, mesh.x, column, 2.0, far)[1]
+                low = pixel_bounds(level, plane, mesh.x, column, 2.0, far)[1]  # 2: no depth is greater than 1
                 at = (row - y0) * (x1 - x0) + column - x0
                 front[at] = max(front[at], low - MARGIN)
 

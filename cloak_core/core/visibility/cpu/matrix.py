@@ -20,7 +20,7 @@ def build_view(
     normals: Float32[Tensor, "3 V"],
     light_position: Float32[Tensor, " 3"],
 ) -> View:
-    """See `Backend.build_view`."""
+    """See `torch/matrix.py`."""
     space = screen.view[0].numpy()
     camera = float(screen.focal), screen.width / 2, screen.height / 2
     columns = arrays(fragments.pixel, fragments.triangle, fragments.area, fragments.x, fragments.y)

@@ -24,7 +24,7 @@ ZERO, ONE = np.float32(0), np.float32(1)
 def draw_bodies(
     views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
-    """See `Backend.draw_bodies`."""
+    """See `torch/painting.py`."""
     maps = [view.map for view in views]
     count = sum(each.height for each in maps)
     base, target = torch.empty(count, 3), torch.empty(count, dtype=torch.int64)
@@ -56,7 +56,7 @@ class LogoMatrix:
     def paint(
         self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """See `backend.LogoMatrix`."""
+        """See `torch/painting.py`."""
         passes = torch.empty(len(target), dtype=torch.uint8)
         all_colors, all_target, all_passes, all_rows = arrays(colors, target, passes, rows)
         for image, (each, own) in enumerate(zip(self.maps, self.own, strict=True)):
@@ -71,7 +71,7 @@ class LogoMatrix:
     def gradient(
         self, kept: tuple[Tensor, Tensor], upstream: Float32[Tensor, "B 3 H W"], shape: Sequence[int]
     ) -> Float32[Tensor, "*B L 3"]:
-        """See `backend.LogoMatrix`."""
+        """See `torch/painting.py`."""
         images, _, height, width = upstream.shape
         pixel_step = 1
         channel_step = height * width
@@ -93,7 +93,7 @@ class LogoMatrix:
 
 
 def logo_matrix(maps: Sequence[LinearMap]) -> LogoMatrix:
-    """See `Backend.logo_matrix`."""
+    """See `torch/painting.py`."""
     return LogoMatrix(maps, list(_parts(maps)))
 
 

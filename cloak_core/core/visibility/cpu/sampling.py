@@ -26,7 +26,7 @@ _SHORT = 4
 
 
 def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:
-    """See `Backend.cover`."""
+    """See `torch/sampling.py`."""
     _draw(packed.numpy(), *flat.arrays(), row0, column0, shift)
 
 
@@ -126,7 +126,7 @@ def _quotient_up(value, divisor):
 
 
 def merge_samples(packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
-    """See `Backend.merge_samples`."""
+    """See `torch/sampling.py`."""
     fragments = _merge(*arrays(packed), grid, window.y0 * grid, window.x0 * grid, width)
     return Fragments(*map(torch.from_numpy, fragments))
 

@@ -131,6 +131,7 @@ def _set_plane(pieces, i, first, edge1, edge2, side, depths):
     size = float(abs(d1x * d2y - d1y * d2x))
     e1, e2 = d2x * y0 - d2y * x0, d1y * x0 - d1x * y0
     slope1, slope2 = (n1 - n0) / size, (n2 - n0) / size
+    # Rounded at three corners of the pixel, not in between: depths of two pieces are then compared in whole numbers.
     begin = _steps(e1, e2, slope1, slope2, n0)
     across = _steps(e1 + d2y * side, e2 - d1y * side, slope1, slope2, n0) - begin
     down = _steps(e1 - d2x * side, e2 + d1x * side, slope1, slope2, n0) - begin
@@ -153,7 +154,7 @@ def _fields(left, top, right, bottom):
     u1 = min(np.int64(right * FIELDS), FIELDS - 1)
     v0 = np.int64(top * FIELDS)
     v1 = min(np.int64(bottom * FIELDS), FIELDS - 1)
-    row = (np.int64(2) << u1) - (np.int64(1) << u0)
+    row = (np.int64(2) << u1) - (np.int64(1) << u0)  # bits u0 to u1
     bits = np.int64(0)
     for v in range(v0, v1 + 1):
         bits |= row << (v * FIELDS)

@@ -16,7 +16,7 @@ OPTIONS = {"num_warps": 1, **NO_FUSION}
 
 
 def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:
-    """See `Backend.cover`."""
+    """See `torch/sampling.py`."""
     columns = flat.x, flat.y, flat.inverse_depth, flat.corner, flat.ids, flat.one_sided
     if count := flat.corner.shape[1]:
         where = count, row0, column0, *packed.shape, shift
@@ -45,7 +45,7 @@ def draw(
     twice = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     dropped = (twice == 0) | ((twice > 0) & (tl.load(one_sided + triangle) != 0))
 
-    # Canonical order (torch/triangles.py): the topmost corner, of two the right one, then clockwise.
+    # Canonical order (torch/sampling.py): the topmost corner, of two the right one, then clockwise.
     at_a, at_b, at_c = (ay << 32) - ax, (by << 32) - bx, (cy << 32) - cx
     first = tl.where((at_b < at_a) & (at_b <= at_c), 1, tl.where(at_c < at_a, 2, 0))
     step = tl.where(twice > 0, 1, 2)

@@ -17,7 +17,10 @@ from cloak_core.core.visibility.texture import look_up
 def split(
     view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor, int, SparseMap]:
-    """See `Backend.split`."""
+    """Split a view into the logo's map and the base colours.
+
+    Returns pixels, coverage, base_color, front_count and map of a `BakedView`.
+    """
     pixels, coverage = view.pixels, view.coverage
     crow, face, weight = view.map.crow, view.map.column, view.map.weight
     position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)

@@ -1,4 +1,7 @@
-"""Fragments to a view's matrix, in torch: light at every fragment, then a row for each pixel."""
+"""Fragments to a view's matrix, in torch: light at every fragment, then a row for each pixel.
+
+On CUDA one Triton kernel lights bodies without textures and cloths.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from torch import Tensor
 
 from cloak_core.core.linear import SparseMap, offsets
 from cloak_core.core.view import Fragments, Screen, Surface, View
+from cloak_core.core.visibility.compiled import use_kernels
 from cloak_core.core.visibility.torch.shading import light_fragments
 
 
@@ -18,20 +22,14 @@ def build_view(
     normals: Float32[Tensor, "3 V"],
     light_position: Float32[Tensor, " 3"],
 ) -> View:
-    """See `Backend.build_view`."""
-    return assemble(fragments, screen, surface, *light_fragments(fragments, screen, surface, normals, light_position))
+    """Light the fragments of one view, or a band of it, and sum them up to its matrix.
 
-
-def assemble(
-    fragments: Fragments,
-    screen: Screen,
-    surface: Surface,
-    weight: Float32[Tensor, " N"],
-    highlight: Float32[Tensor, " N"],
-    uv: Float32[Tensor, "2 N"] | None,
-    cloth: Float32[Tensor, "4 N"] | None,
-) -> View:
-    """Sum lit fragments up to a view: a row of the matrix for each pixel."""
+    normals (of the vertices) and light position are in view space.
+    """
+    light = light_fragments
+    if use_kernels(normals.device) and surface.corner_uv is None and surface.corner_cloth is None:
+        from cloak_core.core.visibility.fused.shading import light_fragments as light  # needs Triton
+    weight, highlight, uv, cloth = light(fragments, screen, surface, normals, light_position)
     face = surface.face.index_select(0, fragments.triangle)
     pixels, row = torch.unique_consecutive(fragments.pixel, return_inverse=True)
     lit = torch.stack([fragments.area, highlight])

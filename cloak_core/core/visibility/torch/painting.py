@@ -22,7 +22,10 @@ Shifts = Integer[Tensor, "B 2"]
 def draw_bodies(
     views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
-    """See `Backend.draw_bodies`."""
+    """Composite B bodies, except the M logo pixels, over the rows of a canvas.
+
+    Returns what the logo's pixels show beside the logo, and their rows: the last row for pixels outside the image.
+    """
     height, width = views[0].height, views[0].width
     # The logo's pixels of all views first, then those at whose edge the background shows, then the rest.
     parts = [
@@ -64,7 +67,7 @@ class LogoMatrix:
     def paint(
         self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """See `backend.LogoMatrix`."""
+        """Write base + matrix @ colors into the rows `target` of a canvas. Returns what `gradient` needs of it."""
         each = colors.expand(len(self.maps), -1, -1)
         if self._whole is not None:
             body = torch.addmm(base, self._whole[0], each.reshape(-1, 3))
@@ -78,7 +81,7 @@ class LogoMatrix:
     def gradient(
         self, kept: tuple[Tensor, Tensor], upstream: Float32[Tensor, "B 3 H W"], shape: Sequence[int]
     ) -> Float32[Tensor, "*B L 3"]:
-        """See `backend.LogoMatrix`."""
+        """Compute the gradient of colours of this shape, from that of the images."""
         silent, target = kept
         if upstream.is_contiguous(memory_format=torch.channels_last):
             own = upstream.permute(0, 2, 3, 1).view(-1, 3).index_select(0, target)
@@ -97,7 +100,7 @@ class LogoMatrix:
 
 
 def logo_matrix(maps: Sequence[LinearMap]) -> LogoMatrix:
-    """See `Backend.logo_matrix`."""
+    """Put together the maps of B images, each from colours to the pixels that show them."""
     return LogoMatrix(maps)
 
 
