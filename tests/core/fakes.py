@@ -7,12 +7,14 @@ import torch
 from torch import nn
 
 from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.linear import SparseMap
 from cloak_core.core.logo import Logo, make_logo
 from cloak_core.core.pattern import Pattern
+from cloak_core.core.places import Places
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.source import Dealt
 from cloak_core.core.technique import Setup, Techniques
-from cloak_core.core.view import BakedView
+from cloak_core.core.view import BakedView, Box, Subject, box_of
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
@@ -83,6 +85,29 @@ class MadeViews:
 
     def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         return self.views[shown["pose"]]
+
+
+def photograph_view(
+    picture: torch.Tensor, mask: torch.Tensor, others: tuple[Box, ...] = (), worn: bool = False
+) -> BakedView:
+    """A person in a picture [3, H, W], at the mask's pixels; worn: all of it shows the one place, else nothing does."""
+    _, height, width = picture.shape
+    pixels = torch.arange(height * width)
+    rows = len(pixels) if worn else 0
+    shown = SparseMap(torch.arange(rows + 1), torch.zeros(rows, dtype=torch.int64), torch.ones(rows), 1)
+    return BakedView(
+        height,
+        width,
+        pixels,
+        torch.ones(len(pixels)),
+        picture.reshape(3, -1),
+        rows,
+        shown,
+        Places.of_faces(1),
+        torch.zeros(1, 3),
+        (1.0, 1.0, 1.0),
+        Subject(box_of(mask), others, False, lambda: mask),
+    )
 
 
 class TinyDetector(Detector):

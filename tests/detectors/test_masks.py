@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from cloak_core import cli
-from cloak_core.core.baking import baked_view
 from cloak_core.core.detector.outcomes import share_within
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.images import ImageSet
@@ -21,7 +20,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.studies.clean import certified_recall
-from tests.core.fakes import MadeViews, noise_backgrounds
+from tests.core.fakes import MadeViews, noise_backgrounds, photograph_view
 from tests.detectors.helpers import write_tiny
 from tests.sources.photographs.made_people import write_people
 
@@ -107,9 +106,7 @@ def stills() -> ImageSet:
     """One person in clear view and one of whom a mask hides more than half."""
     small = torch.full((3, SIZE, SIZE), 0.1)
     small[:, 8:12, 8:12] = 0.9
-    nothing = torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64), torch.zeros(0)
-    shown = zip((person(), small), (BODY, (8.0, 8.0, 12.0, 12.0)), strict=True)
-    views = [baked_view(*nothing, 1, image, box=box, mask=image[0] > 0.5, others=()) for image, box in shown]
+    views = [photograph_view(image, image[0] > 0.5) for image in (person(), small)]
     return ImageSet(MadeViews(*views), noise_backgrounds(), (SIZE, SIZE), trials=pd.DataFrame({"pose": [0, 1]}))
 
 

@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloak_core.core.baking import baked_view
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
@@ -21,7 +20,7 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.evaluate import FOLDER, Shown, evaluate, read_evaluation
-from tests.core.fakes import MadeViews
+from tests.core.fakes import MadeViews, photograph_view
 
 SETTINGS = EvaluateSettings(size=32, shift=0, resamples=100, batch=4, controls=(), bare=2)
 COVER = Cover(np.zeros(1, np.int64), "photographs")
@@ -32,9 +31,8 @@ def photograph() -> BakedView:
     """A person who fills the middle of her photograph in one colour, beside a passer-by."""
     mask = torch.zeros(32, 32, dtype=torch.bool)
     mask[4:28, 4:28] = True
-    worn = torch.arange(32 * 32), torch.zeros(32 * 32, dtype=torch.int64), torch.ones(32 * 32)
-    people = {"box": (4, 4, 28, 28), "mask": mask, "others": ((29, 0, 32, 32),)}
-    return replace(baked_view(*worn, 1, torch.zeros(3, 32, 32), **people), own=torch.full((1, 3), 0.8))
+    view = photograph_view(torch.zeros(3, 32, 32), mask, ((29, 0, 32, 32),), worn=True)
+    return replace(view, own=torch.full((1, 3), 0.8))
 
 
 def photographs() -> ImageSet:

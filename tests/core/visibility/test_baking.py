@@ -1,15 +1,12 @@
 """Baking by compiled loops against the torch operations that other devices use."""
 
-import contextlib
-
 import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.baking import bake, baked_view
+from cloak_core.core.baking import bake
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.paint import compose, true_boxes
-from cloak_core.core.view import BakedView, View
+from cloak_core.core.view import View
 from cloak_core.core.visibility.compiled import torch_alone
 
 HEIGHT, WIDTH, FACES = 20, 30, 40
@@ -73,50 +70,3 @@ def test_a_box_holds_the_pixels_half_covered(seed: int) -> None:
     rows, columns = zip(*places, strict=True) if places else ((), ())
     expected = (min(columns), min(rows), max(columns) + 1, max(rows) + 1) if places else (0, 0, 0, 0)
     assert view.box == expected
-
-
-def made_view(coverage: torch.Tensor | None, **more: object) -> tuple[BakedView, torch.Tensor, torch.Tensor]:
-    """A 4 x 6 view of three faces over a random photograph; the view, the photograph and the dense matrix."""
-    generator = torch.Generator().manual_seed(0)
-    photograph = torch.rand(3, 4, 6, generator=generator)
-    pixel, face = torch.tensor([17, 3, 3, 8]), torch.tensor([2, 1, 0, 2])
-    weight = torch.tensor([0.5, 0.25, 0.5, 1.5])
-    dense = torch.zeros(24, 3).index_put_((pixel, face), weight)
-    return baked_view(pixel, face, weight, 3, photograph, coverage, **more), photograph, dense
-
-
-@pytest.mark.parametrize("plain", [False, True])
-def test_a_view_of_plain_tensors_is_composited(plain: bool) -> None:
-    """Of any size, with its colours' gradient, over a background where coverage leaves room for one."""
-    coverage = torch.ones(4, 6)
-    coverage[1, 2:4], coverage[0, 0] = 0.25, 0
-    colors, background = torch.rand(3, 3, requires_grad=True), torch.rand(1, 3, 4, 6)
-    with torch_alone() if plain else contextlib.nullcontext():
-        view, photograph, dense = made_view(coverage)
-        image = compose([view], colors, background)
-        image.sum().backward()
-    body = (dense @ colors).T.view(3, 4, 6) + torch.where(coverage > 0, photograph, 0)
-    wanted = (body + (1 - coverage) * background[0]).clamp(0, 1)
-    torch.testing.assert_close(image[0], wanted, rtol=0, atol=1e-6)
-    inside = (wanted == body + (1 - coverage) * background[0]).view(3, -1).float()
-    torch.testing.assert_close(colors.grad, (inside @ dense).T, rtol=0, atol=1e-6)
-
-
-def test_nothing_is_seen_behind_a_view_that_is_whole() -> None:
-    view, photograph, _ = made_view(None, box=(1.5, 0, 5, 4), provenance={"photograph": "a.jpg"})
-    image = compose([view, view], torch.zeros(3, 3), torch.rand(2, 3, 4, 6))
-    torch.testing.assert_close(image, photograph.expand(2, -1, -1, -1))
-    assert view.is_whole
-    assert view.box == (1.5, 0, 5, 4) and view.provenance["photograph"] == "a.jpg" and view.map.height == 3
-    assert true_boxes([view]).tolist() == [[1.5, 0, 5, 4]]
-    mask = torch.zeros(4, 6, dtype=torch.bool)
-    mask[1:3, 2:5] = True
-    assert made_view(None, mask=mask)[0].box == (2, 1, 5, 3) and made_view(None)[0].box == (0, 0, 6, 4)
-
-
-def test_entries_out_of_range_are_refused() -> None:
-    one = torch.tensor([1])
-    with pytest.raises(ValueError, match=r"face: 1 .. 1 is not within 0 \.\. 0"):
-        baked_view(one, one, torch.ones(1), 1, torch.zeros(3, 2, 2))
-    with pytest.raises(ValueError, match=r"pixel: 1 .. 1 is not within 0 \.\. 0"):
-        baked_view(one, one, torch.ones(1), 2, torch.zeros(3, 1, 1))
