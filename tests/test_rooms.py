@@ -18,7 +18,7 @@ MAY_IMPORT = {
     "zoo": {"files", "exchange", "core"},
     "sources": {"files", "jobs", "exchange", "core"},
     "detectors": {"files", "exchange", "core", "sources"},
-    "techniques": {"files", "exchange", "core", "sources", "zoo"},
+    "techniques": {"files", "exchange", "core", "sources", "patterns", "zoo"},
     "studies": {"files", "jobs", "exchange", "core", "patterns", "zoo", "sources", "detectors"},
     "products": {"files", "exchange", "core", "patterns", "sources", "studies"},
     "experiments": {"files", "exchange", "core", "patterns", "sources", "detectors", "studies"},

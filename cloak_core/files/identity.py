@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-TRAINING = ("exchange", "core", "sources", "detectors", "techniques", "studies/trainings")
+TRAINING = ("exchange", "core", "sources", "patterns", "detectors", "techniques", "studies/trainings")
 """The rooms whose code decides the colours of a training."""
 UNKNOWN = "unknown"
 """How an identity begins that nothing else has, as what it is of cannot be known."""

@@ -31,10 +31,8 @@ class ChestPattern(ClothPattern):
         return squares_under((low + high) / 2, high - low, inside, grid.square, grid.rows, grid.columns)
 
     def on(self, cover: Cover) -> ChestPattern:
-        """See `Pattern`: it stays on the chest."""
-        return self
+        return self  # it stays on the chest
 
     @property
     def layout(self) -> tuple:
-        """See `Pattern`."""
         return *super().layout, self.corner

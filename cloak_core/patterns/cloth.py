@@ -8,15 +8,13 @@ from functools import cached_property
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int64, UInt8
-from torch import Tensor
 
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.logo import Cover
-from cloak_core.core.pattern import Pattern, Recolor, as_tensor
 from cloak_core.core.places import Places, face_places
-from cloak_core.core.view import BakedView
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.identity import sha256_arrays, sha256_record
+from cloak_core.patterns.faces import Colored
 from cloak_core.patterns.footprint import squares_under
 
 
@@ -62,13 +60,12 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class ClothPattern(Pattern):
+class ClothPattern(Colored):
     """The squares of a cloth that is cut into clothes. It may lie anywhere on a body: nobody cuts it in one place."""
 
     cover: Cover
     grid: Grid
     colors: Float32[np.ndarray, "S 3"] | None = None
-    """The squares' colours that are judged; None: it is to be trained."""
     bodies: Bodies | None = None
     """Whose faces `on_faces` shows it on."""
     needs_cloth = True
@@ -83,7 +80,6 @@ class ClothPattern(Pattern):
 
     @property
     def count(self) -> int:
-        """Number of squares."""
         return len(self.grid)
 
     def map(self, places: Places, offset: tuple[float, float] = (0.0, 0.0)) -> SparseMap:
@@ -93,45 +89,26 @@ class ClothPattern(Pattern):
         return squares_under(moved, places.extent, places.face >= 0, grid.square, grid.rows, grid.columns)
 
     def draw_offset(self, random: np.random.Generator) -> tuple[float, float]:
-        """See `Pattern`."""
         return tuple(random.uniform(0, self.grid.metres, 2).tolist())
-
-    def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "S 3"]:
-        """See `Pattern`."""
-        return as_tensor(self.colors, view)
 
     @property
     def layout(self) -> tuple[str, Grid, str]:
-        """See `Pattern`."""
         return type(self).__name__, self.grid, self.cover.key
 
     @property
     def identity(self) -> str:
-        """See `Pattern`."""
         grid = [self.grid.metres, self.grid.columns, self.grid.rows]
         return sha256_record([type(self).__name__, self.cover.key, grid, sha256_arrays(self.colors)])
 
-    def recolored(self, change: Recolor) -> ClothPattern:
-        """See `Pattern`."""
-        return replace(self, colors=np.asarray(change(self.colors), np.float32))
-
     def on(self, cover: Cover) -> ClothPattern:
-        """See `Pattern`."""
         return replace(self, cover=cover)
 
     @cached_property
     def edges(self) -> Int64[np.ndarray, "E 2"]:
-        """Pairs of squares that share a side."""
         return self.grid.neighbours()
 
     @property
-    def neighbours(self) -> Int64[np.ndarray, "E 2"]:
-        """See `edges`."""
-        return self.edges
-
-    @property
     def edge_lengths(self) -> Float[np.ndarray, " E"]:
-        """Sides of the squares, metres."""
         return np.full(len(self.edges), self.grid.square)
 
     @cached_property
@@ -140,23 +117,11 @@ class ClothPattern(Pattern):
         return self.grid.centres()
 
     @property
-    def points(self) -> Float[np.ndarray, "S 2"]:
-        """See `centres`."""
-        return self.centres
-
-    @property
-    def value_count(self) -> int:
-        """Number of squares."""
-        return self.count
-
-    @property
     def spacing(self) -> float:
-        """Width of a square, metres."""
         return self.grid.square
 
     @property
     def period(self) -> float:
-        """Width of the cloth, metres."""
         return self.grid.metres
 
     @cached_property
@@ -183,5 +148,4 @@ class ClothPattern(Pattern):
         return self.map(self._faces).apply(torch.from_numpy(np.ascontiguousarray(colors, np.float32))).numpy()
 
     def picture(self, colors: Float[np.ndarray, "S 3"]) -> Float[np.ndarray, "h w 3"]:
-        """See `Pattern`."""
         return colors.reshape(self.grid.rows, self.grid.columns, 3)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 from torch import Tensor
 
 from cloak_core.core.evaluation.controls import CLOTHING, NAMES, NATURAL, RESAMPLED, STANDARD
@@ -34,11 +34,9 @@ class OwnClothing(FacePattern):
     """What a body wears by itself; a photograph shows it without any face laid onto it."""
 
     def map(self, places: Places, offset: tuple[float, float] = (0.0, 0.0)) -> SparseMap:
-        """See `Pattern`."""
         return places.own
 
     def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "L 3"]:
-        """See `Pattern`."""
         return view.own
 
 
@@ -47,7 +45,6 @@ class Resampled(FacePattern):
     """Own clothing, brought onto the faces and back: what laying colours onto faces alone does to a detector."""
 
     def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "L 3"]:
-        """See `Pattern`."""
         shares, seen = view.places.shares, view.seen
         return (shares.adjoint(seen) / shares.adjoint(torch.ones_like(seen)).clamp(min=1e-9)).clamp(0, 1)
 
@@ -60,11 +57,9 @@ class RandomColors(FacePattern):
 
     @property
     def identity(self) -> str:
-        """See `Pattern`."""
         return sha256_record([type(self).__name__, self.cover.key, self.seed])
 
     def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "L 3"]:
-        """See `Pattern`."""
         drawn = np.random.default_rng([self.seed, image]).random((self.count, 3), np.float32)
         return torch.from_numpy(drawn).to(view.pixels.device)
 
@@ -74,33 +69,28 @@ def controls(names: Sequence[str], judged: Pattern, seed: int = 0, bodies: Bodie
 
     bodies: what stripes and checks, which are as strong as the judged colours, are drawn on.
     """
-    return {name: _control(name, judged, seed, bodies) for name in names}
-
-
-def _control(name: str, judged: Pattern, seed: int, bodies: Bodies | None) -> Pattern:
     cover = judged.cover
-    if name == CLOTHING:
-        return OwnClothing(cover)
-    if name == "grey":
-        return FacePattern(cover, colors=np.full((len(cover), 3), 0.5, np.float32))
-    if name == "random":
-        return RandomColors(cover, seed=seed)
-    if name == RESAMPLED:
-        return Resampled(cover)
-    if name in NATURAL and bodies is not None:
-        return FacePattern(cover, colors=_two_tone(judged.colors, name, face_centres(bodies)[cover.face_ids]))
-    known = NAMES if bodies is not None else (*STANDARD, RESAMPLED)
-    raise InputError(f"--controls: {name!r}: there are {', '.join(known)}")
+    made = {
+        CLOTHING: lambda: OwnClothing(cover),
+        "grey": lambda: FacePattern(cover, colors=np.full((len(cover), 3), 0.5, np.float32)),
+        "random": lambda: RandomColors(cover, seed=seed),
+        RESAMPLED: lambda: Resampled(cover),
+    }
+    if bodies is not None:
+        made |= {name: lambda name=name: _two_tone(judged, name, bodies) for name in NATURAL}
+    if unknown := [name for name in names if name not in made]:
+        known = NAMES if bodies is not None else (*STANDARD, RESAMPLED)
+        raise InputError(f"--controls: {unknown[0]!r}: there are {', '.join(known)}")
+    return {name: made[name]() for name in names}
 
 
-def _two_tone(
-    judged: Float[np.ndarray, "C 3"], name: str, centres: Float[np.ndarray, "L 3"]
-) -> Float32[np.ndarray, "L 3"]:
+def _two_tone(judged: Pattern, name: str, bodies: Bodies) -> FacePattern:
     """Make two greys about mid-grey with the judged colours' standard deviation of luminance.
 
     Stripes run around the body, checks cross them in x and y.
     """
-    contrast = min(0.5, float((judged @ np.array([0.2126, 0.7152, 0.0722], np.float32)).std()))
-    cell = np.floor(centres / STRIPE).astype(np.int64)
+    contrast = min(0.5, float((judged.colors @ np.array([0.2126, 0.7152, 0.0722], np.float32)).std()))
+    cell = np.floor(face_centres(bodies)[judged.cover.face_ids] / STRIPE).astype(np.int64)
     light = (cell[:, 1] if name == "stripes" else cell[:, 0] + cell[:, 1]) % 2 == 0
-    return np.where(light[:, None], 0.5 + contrast, 0.5 - contrast).astype(np.float32).repeat(3, 1)
+    greys = np.where(light[:, None], 0.5 + contrast, 0.5 - contrast).astype(np.float32)
+    return FacePattern(judged.cover, colors=greys.repeat(3, 1))

@@ -20,8 +20,33 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
 
 
+class Colored(Pattern):
+    """What patterns with a colour of their own for each face or square have in common."""
+
+    colors: Float32[np.ndarray, "C 3"] | None
+    """The colours that are judged; None: it is to be trained."""
+
+    def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "C 3"]:
+        return as_tensor(self.colors, view)
+
+    def recolored(self, change: Recolor) -> Pattern:
+        return replace(self, colors=np.asarray(change(self.colors), np.float32))
+
+    @property
+    def neighbours(self) -> Int64[np.ndarray, "E 2"]:
+        return self.edges
+
+    @property
+    def points(self) -> Float[np.ndarray, "C D"]:
+        return self.centres
+
+    @property
+    def value_count(self) -> int:
+        return self.count
+
+
 @dataclass(frozen=True, eq=False)
-class FacePattern(Pattern):
+class FacePattern(Colored):
     """The faces of a logo. What is only judged needs neither bodies nor a logo's edges.
 
     InputError: another number of colours than of faces.
@@ -30,7 +55,6 @@ class FacePattern(Pattern):
     cover: Cover | Logo
     bodies: Bodies | None = None
     colors: Float32[np.ndarray, "L 3"] | None = None
-    """The colours that are judged; None: it is to be trained."""
 
     def __post_init__(self) -> None:
         if self.colors is not None and len(self.colors) != len(self.cover):
@@ -38,61 +62,32 @@ class FacePattern(Pattern):
 
     @property
     def count(self) -> int:
-        """L."""
         return len(self.cover)
 
     def map(self, places: Places, offset: tuple[float, float] = (0.0, 0.0)) -> SparseMap:
-        """See `Pattern`."""
         return places.shares
-
-    def colors_in(self, view: BakedView, image: int) -> Float32[Tensor, "L 3"]:
-        """See `Pattern`."""
-        return as_tensor(self.colors, view)
 
     @property
     def layout(self) -> tuple[str, str]:
-        """See `Pattern`: whatever colours faces is laid alike."""
-        return "faces", self.cover.key
+        return "faces", self.cover.key  # whatever colours faces is laid alike
 
     @property
     def identity(self) -> str:
-        """See `Pattern`."""
         colors = None if self.colors is None else sha256_arrays(self.colors)
         return sha256_record([type(self).__name__, self.cover.key, colors])
 
-    def recolored(self, change: Recolor) -> FacePattern:
-        """See `Pattern`."""
-        return replace(self, colors=np.asarray(change(self.colors), np.float32))
-
     @property
     def edges(self) -> Int64[np.ndarray, "E 2"]:
-        """Pairs of faces that share an edge."""
         return self.cover.edges
 
     @property
     def edge_lengths(self) -> Float[np.ndarray, " E"]:
-        """Metres, in the first pose."""
         return self.cover.edge_lengths
-
-    @property
-    def neighbours(self) -> Int64[np.ndarray, "E 2"]:
-        """See `edges`."""
-        return self.edges
 
     @cached_property
     def centres(self) -> Float[np.ndarray, "L 3"]:
         """Middles of the faces, metres, in the first pose."""
         return face_centres(self.bodies)[self.cover.face_ids]
-
-    @property
-    def points(self) -> Float[np.ndarray, "N 3"]:
-        """See `centres`."""
-        return self.centres
-
-    @property
-    def value_count(self) -> int:
-        """L."""
-        return self.count
 
     @cached_property
     def spacing(self) -> float:

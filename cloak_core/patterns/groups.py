@@ -31,20 +31,14 @@ class GroupPattern(FacePattern):
         """Cut a logo into groups of at least `size` metres along the surface."""
         return cls(logo, bodies, group=group_of_face(bodies, logo, size))
 
-    @cached_property
-    def _group(self) -> Tensor:
-        return torch.from_numpy(self.group)
-
     def spread(self, values: Float[Tensor, "N 3"]) -> Float[Tensor, "C 3"]:
-        """See `Pattern`."""
-        return values[self._group.to(values.device)]
+        return values[torch.from_numpy(self.group).to(values.device)]
 
     def means(self, colors: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "N 3"]:
-        """See `Pattern`."""
         return np.stack([np.bincount(self.group, channel) for channel in colors.T], axis=1) / self._sizes[:, None]
 
     def from_faces(self, colors: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "C 3"]:
-        """See `Pattern`: each group gets the mean of its faces."""
+        """Give each group the mean of its faces."""
         return self.means(colors)[self.group].astype(np.float32)
 
     @cached_property
@@ -53,18 +47,15 @@ class GroupPattern(FacePattern):
 
     @property
     def value_count(self) -> int:
-        """Number of groups."""
         return len(self._sizes)
 
     @cached_property
     def neighbours(self) -> Int64[np.ndarray, "E 2"]:
-        """Pairs of groups with a common border."""
         edges = self.group[self.edges]
         return edges[edges[:, 0] != edges[:, 1]]
 
     @cached_property
     def points(self) -> Float[np.ndarray, "N 3"]:
-        """Middles of the groups, metres, in the first pose."""
         return self.means(self.centres)
 
     @cached_property
@@ -83,13 +74,9 @@ def group_of_face(bodies: Bodies, logo: Logo, size: float) -> Int64[np.ndarray, 
     ways = _ways(bodies, logo)
     centres = _spread(ways, size)
     _, _, nearest = dijkstra(ways, indices=centres, min_only=True, return_predecessors=True)
-    inside = nearest[logo.edges[:, 0]] == nearest[logo.edges[:, 1]]
-    return _merged(_joined(logo.edges[inside], len(logo)), face_areas(bodies)[logo.face_ids], logo, np.pi / 4 * size**2)
-
-
-def _joined(edges: np.ndarray, count: int) -> Int64[np.ndarray, " L"]:
-    """Number each piece that these edges join."""
-    return connected_components(_matrix(edges, np.ones(len(edges)), count), directed=False)[1].astype(np.int64)
+    edges = logo.edges[nearest[logo.edges[:, 0]] == nearest[logo.edges[:, 1]]]
+    joined = connected_components(_matrix(edges, np.ones(len(edges)), len(logo)), directed=False)[1].astype(np.int64)
+    return _merged(joined, face_areas(bodies)[logo.face_ids], logo, np.pi / 4 * size**2)
 
 
 def _matrix(pairs: np.ndarray, values: np.ndarray, count: int) -> csr_matrix:

@@ -67,7 +67,7 @@ class Near(Technique):
 
         InputError: no such garment; one of several colours where inks are counted.
         """
-        from cloak_core.sources.bodies.logos.garment_colors import garment_colors
+        from cloak_core.patterns.garments import garment_colors
         from cloak_core.zoo.starting import read_start
 
         settings, pattern = setup.settings.pattern, setup.pattern

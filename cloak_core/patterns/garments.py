@@ -7,20 +7,16 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32, UInt8
-from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo
-from cloak_core.core.pictures import open_picture
+from cloak_core.core.pictures import read_picture
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.cloth import ClothPattern
 
 TILE = 0.5
 """Metres that a picture repeats after, unless told."""
-GRAIN = 0.01
-"""Metres: about a face; what is finer in a picture is averaged."""
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 WOODLAND = np.array([(75, 83, 52), (44, 53, 36), (98, 80, 56), (151, 138, 101)], np.uint8)
 """Olive, dark green, brown, tan."""
@@ -31,18 +27,15 @@ def garment_colors(spec: str, bodies: Bodies, logo: Logo) -> Float32[np.ndarray,
     """Find a garment's colours on the logo, sRGB in [0, 1]; None where `spec` names neither of these.
 
     spec: "#rrggbb"; "clothing", the body's first outfit; "camouflage", a woodland print; a picture,
-    FILE.png[@tile=METRES]. Prints repeat along the body (from the front and the back, on flanks from the side).
-    InputError: no such picture, no width.
+    FILE.png[@tile=METRES], worn as cloth: each face has its mean there. InputError: no such picture, no width.
     """
     if (plain := _PLAIN.fullmatch(spec)) is not None:
         color = np.frombuffer(bytes.fromhex(plain[1]), np.uint8) / np.float32(255)
         return np.tile(color.astype(np.float32), (len(logo), 1))
     if spec == "clothing":
         return np.ascontiguousarray(bodies.face_colors[0, logo.face_ids], np.float32)
-    if spec == "camouflage":
-        return _tiled(Image.fromarray(camouflage()), TILE, bodies, logo)
     file, _, width = spec.partition("@tile=")
-    if Path(file).suffix.lower() not in PICTURES:
+    if spec != "camouflage" and Path(file).suffix.lower() not in PICTURES:
         return None
     try:
         tile = float(width or TILE)
@@ -50,21 +43,12 @@ def garment_colors(spec: str, bodies: Bodies, logo: Logo) -> Float32[np.ndarray,
         tile = 0.0
     if not 0.01 <= tile <= 10:
         raise InputError(f"{spec}: tile={width} is no width in metres (0.01 to 10)")
-    with open_picture(Path(file).expanduser()) as picture:
-        return _tiled(picture, tile, bodies, logo)
+    picture = camouflage() if spec == "camouflage" else read_picture(Path(file).expanduser())
+    cloth = ClothPattern.of_picture(logo, picture, tile, bodies=bodies)
+    return cloth.on_faces(cloth.colors)
 
 
 def camouflage(side: int = 256) -> UInt8[np.ndarray, "side side 3"]:
     """Draw a woodland print that repeats: smooth noise, cut at its quantiles into four colours."""
     noise = gaussian_filter(np.random.default_rng(0).standard_normal((side, side)), side / 24, mode="wrap")
     return WOODLAND[np.searchsorted(np.quantile(noise, (0.3, 0.6, 0.8)), noise)]
-
-
-def _tiled(picture: Image.Image, tile: float, bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"]:
-    across = max(1, round(tile / GRAIN))
-    size = (across, max(1, round(across * picture.height / picture.width)))
-    pixels = np.asarray(picture.convert("RGB").resize(size, Image.Resampling.BOX), np.float32) / 255
-    centres, facing = face_centres(bodies)[logo.face_ids], face_normals(bodies)[logo.face_ids]
-    place = np.floor(cloth_coordinates(centres, facing) / tile * across).astype(int)
-    column, row = (place % size).T
-    return np.ascontiguousarray(pixels[row, column])
