@@ -19,25 +19,27 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.bench.accuracy_report import write_report
+from cloak_core.bench.accuracy_plot import plot
 from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
+from cloak_core.bench.measuring import check_counts, clock, machine, timed, with_earlier
 from cloak_core.bench.peers import PeerViewCache, available, usable
 from cloak_core.bench.reference import EXACT, Matrix, Reference, matrix_of, reference
-from cloak_core.bench.views import cached_render, clock, machine, timed
-from cloak_core.core.cameras import Camera
+from cloak_core.bench.views import cached_render
 from cloak_core.core.view import CrowdedPixels
 from cloak_core.core.visibility.settings import GRIDS, Light, RenderSettings
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json
 from cloak_core.jobs.job import Tell
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.studies.pace import in_turn
@@ -75,8 +77,7 @@ def run_bench_accuracy(
     """
     if unknown := [name for name in only if name not in SCENES]:
         raise InputError(f"scene '{unknown[0]}': there are {', '.join(SCENES)}")
-    if repeats < 1 or threads < 1:
-        raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
+    check_counts(repeats, threads)
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
     with torch_threads(threads):
         measured = {"threads": threads, "clock": clock(), "repeats": repeats, "peers": available()}
@@ -91,48 +92,49 @@ def run_bench_accuracy(
     return result
 
 
+def write_report(result: dict, folder: Path) -> dict:
+    """Write accuracy.json and accuracy.png, and return what they hold.
+
+    Scenes that an accuracy.json of the folder holds and `result` does not are kept. Raises `InputError` where that
+    file cannot be read.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    result = result | {"scenes": with_earlier(folder / "accuracy.json", "scenes", result["scenes"], SCENES)}
+    write_json(folder / "accuracy.json", result)
+    plot(result, folder / "accuracy.png")
+    return result
+
+
 def measure(scene: Scene, repeats: int, threads: int, peers: dict[str, str]) -> dict:
     """Time and compare every way to build a view of one scene. peers: as `available` says."""
-    light = Light()
+    light, key = Light(), [(0, scene.camera)]
     exact = reference(scene.bodies, scene.camera, light)
     judge = Judge(scene, exact)
     points = []
-    for name, caches, times in _points(scene, light, repeats, threads, peers):
-        points.append({"name": name} | times() | judge.errors(*caches))
-    record = {"triangles": scene.bodies.triangle_count, "reference": EXACT}
-    return record | {"pixels": int((exact.matrix.coverage > 0).sum()), "points": points}
-
-
-def _points(
-    scene: Scene, light: Light, repeats: int, threads: int, peers: dict[str, str]
-) -> Iterator[tuple[str, tuple[ViewCache, ViewCache], Callable[[], dict]]]:
-    """Everything to measure: its name, its views, in the light and in none, and what times it."""
     for samples in (*GRIDS, None):
-        caches = tuple(ViewCache(scene.bodies, RenderSettings(light=kind, samples=samples)) for kind in (light, FLAT))
-        yield _name(samples), caches, lambda b=caches[0]: _times(b, scene.camera, repeats)
+        lit, flat = (ViewCache(scene.bodies, RenderSettings(light=kind, samples=samples)) for kind in (light, FLAT))
+        times = {
+            "visibility_ms": _median(partial(lit.visible, key), repeats),
+            "new_view_ms": _median(partial(lit.build, key), repeats),
+            "cached_ms": _median(cached_render(lit, scene.camera), repeats),
+            "pose_ms": None,
+        }
+        points.append({"name": _name(samples)} | times | judge.errors(lit, flat))
     for kind in usable(peers):
         peer = kind(scene.bodies.triangles.astype(np.int64), threads)
         for samples in PEER_SAMPLES:
-            caches = tuple(PeerViewCache(scene.bodies, shine, samples, peer) for shine in (light, FLAT))
-            yield f"{kind.module}-{samples}", caches, lambda b=caches[0]: _peer_times(b, scene.camera, repeats)
-
-
-def _times(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float | None]:
-    key = [(0, camera)]
-    return {
-        "visibility_ms": _median(lambda: cache.visible(key), repeats),
-        "new_view_ms": _median(lambda: cache.build(key), repeats),
-        "cached_ms": _median(cached_render(cache, camera), repeats),
-        "pose_ms": None,
-    }
-
-
-def _peer_times(cache: PeerViewCache, camera: Camera, repeats: int) -> dict[str, float | None]:
-    key = [(0, camera)]
-    pose = timed(cache.pose, min(repeats, 5), warm_up=1)["median"]
-    cache.peer.aim(cache.target(camera))
-    look, new = _median(cache.peer.look, repeats), _median(lambda: cache.build(key), repeats)
-    return {"visibility_ms": look, "new_view_ms": new, "cached_ms": None, "pose_ms": pose}
+            lit, flat = (PeerViewCache(scene.bodies, shine, samples, peer) for shine in (light, FLAT))
+            pose = timed(lit.pose, min(repeats, 5), warm_up=1)["median"]
+            peer.aim(lit.target(scene.camera))
+            times = {
+                "visibility_ms": _median(peer.look, repeats),
+                "new_view_ms": _median(partial(lit.build, key), repeats),
+                "cached_ms": None,
+                "pose_ms": pose,
+            }
+            points.append({"name": f"{kind.module}-{samples}"} | times | judge.errors(lit, flat))
+    record = {"triangles": scene.bodies.triangle_count, "reference": EXACT}
+    return record | {"pixels": int((exact.matrix.coverage > 0).sum()), "points": points}
 
 
 def _median(work: Callable[[], object], repeats: int) -> float:

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import torch
 
-from cloak_core.bench.records import write_rows
-from cloak_core.bench.step import Clock
-from cloak_core.bench.views import machine
+from cloak_core.bench.measuring import machine, timed_in_turn, write_rows
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.core.visibility.threads import torch_threads
@@ -40,43 +38,39 @@ def run_bench_detectors(
     The two ways take turns, so that both meet the same machine. A black box has no gradients: those entries are absent.
     `tell` hears of each detector before it is timed; `options` go to `load_detector`.
     """
+    images = torch.rand(batch, 3, size, size, generator=torch.Generator().manual_seed(0)).to(device)
     with torch_threads(threads or torch.get_num_threads()):
         detectors = {spec: load_detector(spec, device=device, **options) for spec in specs}
         turns = in_turn(list(detectors), lambda spec: f"{short_name(spec)}, {repeats} repetitions", tell)
-        return {spec: _bench(detectors[spec], spec, batch, size, repeats, device, options) for spec in turns}
+        return {spec: _bench(detectors[spec], spec, images, repeats, device, options) for spec in turns}
 
 
 def _bench(
-    detector: Detector, spec: str, batch: int, size: int, repeats: int, device: str, options: dict
+    detector: Detector, spec: str, images: torch.Tensor, repeats: int, device: str, options: dict
 ) -> dict[str, float]:
-    generator = torch.Generator().manual_seed(0)
-    images = torch.rand(batch, 3, size, size, generator=generator).to(device)
-    ways: dict[str, Callable[[], None]] = {"forward_ms": lambda: _forward(detector, images)}
+    @torch.no_grad()
+    def forward(number: int) -> None:
+        max_person_score(detector(images))
+
+    def gradient(network: Detector) -> Callable[[int], None]:
+        def run(number: int) -> None:
+            network.zero_grad(set_to_none=True)
+            max_person_score(network(images.clone().requires_grad_())).sum().backward()
+
+        return run
+
+    ways = {"forward_ms": forward}
     if detector.differentiable:
         plain = {name: value for name, value in options.items() if name not in ("precision", "compiled")}
         naive = load_detector(spec, device=device, fold=False, **plain).requires_grad_(True)
-        ways |= {"gradient_ms": lambda: _gradient(detector, images), "naive_ms": lambda: _gradient(naive, images)}
-    clock = Clock(images.device)
-    for turn in range(repeats + 1):
-        clock.counts = turn > 0  # the first turn warms up
-        for name, work in ways.items():
-            clock.time(name, work)
-    result = {name: statistics.median(values) / batch for name, values in clock.milliseconds.items()}
+        ways |= {"gradient_ms": gradient(detector), "naive_ms": gradient(naive)}
+    times = timed_in_turn(ways, repeats, device, warm_up=1)
+    result = {name: statistics.median(values) / len(images) for name, values in times.items()}
     if "naive_ms" in result:
         result["speedup"] = result["naive_ms"] / result["gradient_ms"]
-    return result | {"batch": batch, "threads": torch.get_num_threads()}
+    return result | {"batch": len(images), "threads": torch.get_num_threads()}
 
 
 def write_table(results: dict[str, dict[str, float]], path: Path, device: str = "cpu") -> None:
     """Write the figures of `run_bench_detectors` as CSV, a row for each detector with machine, versions and date."""
     write_rows(path, ({"detector": short_name(spec)} | figures for spec, figures in results.items()), machine(device))
-
-
-@torch.no_grad()
-def _forward(detector: Detector, images: torch.Tensor) -> None:
-    max_person_score(detector(images))
-
-
-def _gradient(detector: Detector, images: torch.Tensor) -> None:
-    detector.zero_grad(set_to_none=True)
-    max_person_score(detector(images.clone().requires_grad_())).sum().backward()

@@ -14,22 +14,24 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from cloak_core.bench.detectors import run_bench_detectors
-from cloak_core.bench.gpu_peers import run_gpu_peers
 from cloak_core.bench.growth import sphere
-from cloak_core.bench.stability_checks import cuda as compare_with_cpu
+from cloak_core.bench.measuring import machine
+from cloak_core.bench.stability import cuda as compare_with_cpu
 from cloak_core.bench.step import run_bench_step
-from cloak_core.bench.views import machine, run_bench_views
+from cloak_core.bench.views import run_bench_views
 from cloak_core.core.cameras import Camera
 from cloak_core.core.settings import make_settings
 from cloak_core.core.visibility.compiled import torch_alone, triton_kernels
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.detectors.loading import load_detector
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json
 from cloak_core.jobs.job import Tell
@@ -47,16 +49,18 @@ HIDDEN = 0.9
 """Success in training, over ten steps, that the clock of a training waits for."""
 MOST_STEPS = 400
 DEVICE = "cuda"
-Part = Callable[["Material"], dict]
 
 
+@dataclass(frozen=True)
 class Material:
     """What parts measure with."""
 
-    def __init__(self, people: str | None, images: Path | None, scene: str | None = None) -> None:
-        """people: COCO file of people in photographs; images: their folder; scene: whose first pose views show."""
-        self.people, self.images = people, images
-        self.bodies = sphere(TRIANGLES) if scene is None else load_scene(scene)
+    bodies: Bodies
+    """Whose first pose views show."""
+    people: str | None
+    """COCO file of people in photographs."""
+    images: Path | None
+    """Folder of these photographs."""
 
 
 class Operations(TorchDispatchMode):
@@ -85,16 +89,6 @@ def count_operations(samples: int | None = 1, triangles: int = 3000) -> dict[str
     return dict(operations.counts.most_common())
 
 
-def _bits(material: Material) -> dict:
-    """Hard cases and a scene's views on the device against the CPU, which `cloak bench stability` holds to exact
-    arithmetic."""
-    return {"against_cpu": compare_with_cpu()[0]}
-
-
-def _views(material: Material) -> dict:
-    return run_bench_views(material.bodies, device=DEVICE)
-
-
 def _launches(material: Material) -> dict:
     """Kernels that a new view launches, as the profiler sees them."""
     launches = {}
@@ -112,16 +106,11 @@ def _plain(material: Material) -> dict:
     """The same of views by torch's operations alone, without Triton kernels."""
     with triton_kernels(wanted=False):
         wrong, _ = compare_with_cpu()
-        return {"against_cpu": wrong, "views": _views(material), "launches": _launches(material)}
-
-
-def _peers(material: Material) -> dict:
-    """Other rasterizers on the same view, where they are installed."""
-    return run_gpu_peers(material.bodies, Camera(azimuth=-10.0), DEVICE)
-
-
-def _detectors(material: Material) -> dict:
-    return run_bench_detectors(("builtin",), device=DEVICE)
+        return {
+            "against_cpu": wrong,
+            "views": run_bench_views(material.bodies, device=DEVICE),
+            "launches": _launches(material),
+        }
 
 
 def _step(material: Material) -> dict:
@@ -167,26 +156,25 @@ def _commands(material: Material) -> dict:
         images = ["--images", str(material.images)] if material.images else []
         worn = ["wear", "zoo:transfer-anny", "--people", material.people, "--detector", "builtin"]
         commands["wear"] = [*worn, *images]
-    return {name: _seconds(command) for name, command in commands.items()}
+    seconds = {}
+    for name, command in commands.items():
+        with tempfile.TemporaryDirectory() as folder:
+            whole = [sys.executable, "-m", "cloak_core", *command, "--device", DEVICE, "--out", f"{folder}/out"]
+            started = time.perf_counter()
+            done = subprocess.run(whole, capture_output=True, text=True)
+            if done.returncode:
+                raise InputError(f"cloak {' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
+            seconds[name] = time.perf_counter() - started
+    return seconds
 
 
-def _seconds(command: list[str]) -> float:
-    with tempfile.TemporaryDirectory() as folder:
-        whole = [sys.executable, "-m", "cloak_core", *command, "--device", DEVICE, "--out", str(Path(folder, "out"))]
-        started = time.perf_counter()
-        done = subprocess.run(whole, capture_output=True, text=True)
-        if done.returncode:
-            raise InputError(f"cloak {' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
-        return time.perf_counter() - started
-
-
-PARTS: dict[str, Part] = {
-    "bits": _bits,
-    "views": _views,
+PARTS: dict[str, Callable[[Material], dict]] = {
+    # Hard cases and views against the CPU's, which `cloak bench stability` holds to exact arithmetic.
+    "bits": lambda material: {"against_cpu": compare_with_cpu()[0]},
+    "views": lambda material: run_bench_views(material.bodies, device=DEVICE),
     "launches": _launches,
     "plain": _plain,
-    "peers": _peers,
-    "detectors": _detectors,
+    "detectors": lambda material: run_bench_detectors(("builtin",), device=DEVICE),
     "step": _step,
     "training": _training,
     "commands": _commands,
@@ -217,7 +205,9 @@ def run_bench_gpu(
         "failed": {},
         "not_run": {} if is_there else dict.fromkeys(PARTS, "no CUDA device"),
     }
-    material = Material(people, images, scene) if is_there else None
+    if is_there:
+        bodies = sphere(TRIANGLES) if scene is None else load_scene(scene)
+        material = Material(bodies, people, images)
     for name in in_turn(tuple(PARTS) if is_there else (), str, tell):
         try:
             record["measured"][name] = PARTS[name](material)

@@ -14,9 +14,10 @@ import logging
 import math
 import os
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -24,8 +25,7 @@ import numpy as np
 import torch
 
 from cloak_core.bench.growth_training import grow_people, grow_step
-from cloak_core.bench.records import with_earlier
-from cloak_core.bench.views import machine
+from cloak_core.bench.measuring import check_counts, machine, with_earlier
 from cloak_core.core.cameras import Camera
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
@@ -37,7 +37,7 @@ from cloak_core.studies.pace import in_turn
 
 _log = logging.getLogger(__name__)
 
-_SIZES = {
+SIZES = {
     "triangles": (10_000, 40_000, 160_000, 640_000, 2_560_000, 5_000_000),
     "views": (1, 4, 16, 64, 256, 512),
     "pixels": (208, 416, 832, 1664),
@@ -46,25 +46,8 @@ _SIZES = {
     "squares": (100, 400, 1_600, 6_400, 25_600),
     "people": (100, 300, 1_000, 3_000, 10_000),
 }
-
-
-@dataclass(frozen=True)
-class Work:
-    """One point: the triangles of a sphere, and the cameras that see it."""
-
-    triangles: int = 55_000
-    views: int = 1
-    side: int = 416
-    samples: int | None = None
-    detectors: int | None = None
-    squares: int | None = None
-    people: int | None = None
-    source: tuple[str, Path | None] | None = None
-    """COCO file of the people that others are made of, and the folder of their photographs."""
-
-    @property
-    def camera(self) -> Camera:
-        return Camera(distance=2.2, width=self.side, height=self.side)
+PAPER = {"triangles": 55_000, "views": 1, "pixels": 416, "samples": None}
+"""What a view is built of where its series does not say otherwise; pixels along a side."""
 
 
 def run_bench_growth(
@@ -83,32 +66,32 @@ def run_bench_growth(
     file, and its photographs' folder, of whom the people of that series are made. With `out`, also growth.json in
     that folder, after each series; series measured there earlier stay beside these.
     """
-    if unknown := [name for name in only if name not in _SIZES]:
-        raise InputError(f"growth: no series '{unknown[0]}'; there are {', '.join(_SIZES)}")
-    if threads < 1 or memory < 1:
-        raise InputError(f"growth: {threads} threads, {memory} bytes: at least 1 each")
+    if unknown := [name for name in only if name not in SIZES]:
+        raise InputError(f"growth: no series '{unknown[0]}'; there are {', '.join(SIZES)}")
+    if memory < 1:
+        raise InputError(f"growth: {memory} bytes for views: at least 1")
+    check_counts(1, threads)
     if "people" in only and people is None:
         raise InputError("growth: --only people needs --people, of whom others are made")
     series = {}
-    for quantity in only or tuple(name for name in _SIZES if name != "people" or people):
-        field = "side" if quantity == "pixels" else quantity
-        sizes = _SIZES[quantity][: max(3, len(_SIZES[quantity]) - 2)] if quick else _SIZES[quantity]
+    for quantity in only or tuple(name for name in SIZES if name != "people" or people):
+        sizes = SIZES[quantity][: max(3, len(SIZES[quantity]) - 2)] if quick else SIZES[quantity]
         sizes = [size for size in sizes if most is None or size <= most]
         if len(sizes) < 2:
             raise InputError(f"growth: --most {most} leaves fewer than two sizes of {quantity}, from {sizes or 'none'}")
-        work = Work(source=people)
         power = 2 if quantity == "pixels" else 1
         turns = in_turn(sizes, f"{quantity}: {{:,}}".format, tell, weight=lambda size, power=power: size**power)
-        points = [_measured(replace(work, **{field: size}), size, threads, memory) for size in turns]
+        points = [measure(quantity, size, threads, memory, people) for size in turns]
         fitted = exponents(points, power)
         series[quantity] = {**fitted, "points": points, "threads": threads, "memory": memory, "machine": machine()}
-        result = _result(series) if out is None else write_report(series, Path(out))
+        if out is not None:
+            Path(out).mkdir(parents=True, exist_ok=True)
+            series = with_earlier(Path(out, "growth.json"), "series", series, SIZES)
+        result = {"exponents": {name: record["exponent"] for name, record in series.items()}, "series": series}
+        if out is not None:
+            write_json(Path(out, "growth.json"), result)
         tell(f"{quantity}: time grows with exponent {fitted['exponent']:.2f}")
     return result
-
-
-def _result(series: dict) -> dict:
-    return {"exponents": {name: record["exponent"] for name, record in series.items()}, "series": series}
 
 
 def exponents(points: list[dict], power: int = 1) -> dict[str, float]:
@@ -118,21 +101,13 @@ def exponents(points: list[dict], power: int = 1) -> dict[str, float]:
     return {"exponent": time, "memory_exponent": space}
 
 
-def write_report(series: dict, folder: Path) -> dict:
-    """Write growth.json, with what the folder held before of other series, and return it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    result = _result(with_earlier(folder / "growth.json", "series", series, _SIZES))
-    write_json(folder / "growth.json", result)
-    return result
-
-
-def _measured(work: Work, size: int, threads: int, memory: int) -> dict:
+def measure(quantity: str, size: int, threads: int, memory: int, people: tuple[str, Path | None] | None = None) -> dict:
     """Measure one point, in a process of its own, so that its peak of memory is its own."""
     try:
         with ProcessPoolExecutor(1, get_context("spawn")) as process:
-            return {"size": size} | process.submit(_run, work, threads, memory).result()
+            return {"size": size} | process.submit(_point, quantity, size, threads, memory, people).result()
     except BrokenProcessPool as error:
-        raise InputError(f"growth: the point {work} failed: {error}") from None
+        raise InputError(f"growth: the point of {size:,} {quantity} failed: {error}") from None
 
 
 def sphere(triangles: int, radius: float = 0.9) -> Bodies:
@@ -155,39 +130,32 @@ def sphere(triangles: int, radius: float = 0.9) -> Bodies:
     return Bodies(vertices=vertices[None], triangles=np.concatenate([np.stack(t, -1) for t in fans + quads]))
 
 
-def _run(work: Work, threads: int, memory: int) -> dict:
+def _point(
+    quantity: str, size: int, threads: int, memory: int, people: tuple[str, Path | None] | None
+) -> dict[str, float]:
+    """Measure a point in this process: "seconds", memory and what else its series tells."""
     torch.set_num_threads(threads)
-    if work.people or work.detectors or work.squares:
-        return _in_training(work)
-    bodies = sphere(work.triangles)
-    keys = [(0, replace(work.camera, azimuth=360.0 * i / work.views)) for i in range(work.views)]
-    _build(_ready(sphere(1000), work, keys[:1], memory), keys[:1])  # what is done once for each process
-    cache = _ready(bodies, work, keys, memory)
-    before = _memory("VmRSS")
-    _forget_peak()
-    times = [_build(cache, keys)]
-    peak = _memory("VmHWM")
-    for _ in range(2 if work.views < 64 else 0):
-        times.append(_build(_ready(bodies, work, keys, memory), keys))
-    return {"seconds": float(np.median(times)), "working_mib": max(peak - before, 1.0), "peak_mib": peak}
+    if quantity == "people":
+        return _with_memory(lambda: grow_people(size, *people))
+    if quantity in ("detectors", "squares"):
+        return _with_memory(lambda: grow_step(**{quantity: size}))
+    shown = PAPER | {quantity: size}
+    camera = Camera(distance=2.2, width=shown["pixels"], height=shown["pixels"])
+    keys = [(0, replace(camera, azimuth=360.0 * i / shown["views"])) for i in range(shown["views"])]
+    settings = RenderSettings(samples=shown["samples"], memory_bytes=memory)
 
+    def ready(triangles: int) -> ViewCache:
+        cache = ViewCache(sphere(triangles), settings)
+        cache.screen(keys[:1])  # what is done once for each pose
+        return cache
 
-def _in_training(work: Work) -> dict:
-    """Measure a point of a series of training: "seconds" and further figures."""
-    before = _memory("VmRSS")
-    _forget_peak()
-    if work.people:
-        figures = grow_people(work.people, *work.source)
-    else:
-        figures = grow_step(work.detectors or 1, work.squares)
-    peak = _memory("VmHWM")
-    return {"seconds": figures.pop("seconds"), "working_mib": max(peak - before, 1.0), "peak_mib": peak} | figures
-
-
-def _ready(bodies: Bodies, work: Work, keys: list, memory: int) -> ViewCache:
-    cache = ViewCache(bodies, RenderSettings(samples=work.samples, memory_bytes=memory))
-    cache.screen(keys[:1])  # what is done once for each pose
-    return cache
+    _build(ready(1000), keys[:1])  # what is done once for each process
+    cache = ready(shown["triangles"])
+    figures = _with_memory(lambda: {"seconds": _build(cache, keys)})
+    times = [figures["seconds"]]
+    for _ in range(2 if shown["views"] < 64 else 0):
+        times.append(_build(ready(shown["triangles"]), keys))
+    return figures | {"seconds": float(np.median(times))}
 
 
 def _build(cache: ViewCache, keys: list) -> float:
@@ -198,13 +166,16 @@ def _build(cache: ViewCache, keys: list) -> float:
     return time.perf_counter() - start
 
 
-def _memory(key: str) -> float:
-    """Read the MiB of this process that are resident now (VmRSS) or were at most (VmHWM)."""
-    with open("/proc/self/status", encoding="ascii") as file:
-        return next(int(line.split()[1]) for line in file if line.startswith(key)) / 1024
+def _with_memory(work: Callable[[], dict[str, float]]) -> dict[str, float]:
+    """Do the work, and add the MiB that this process held at most meanwhile, and how much of that it took for it."""
 
+    def resident(key: str) -> float:
+        with open("/proc/self/status", encoding="ascii") as file:
+            return next(int(line.split()[1]) for line in file if line.startswith(key)) / 1024
 
-def _forget_peak() -> None:
-    """Let VmHWM start anew from what is resident now."""
+    before = resident("VmRSS")
     with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
-        file.write("5")
+        file.write("5")  # the peak starts anew from what is resident now
+    figures = work()
+    peak = resident("VmHWM")
+    return figures | {"working_mib": max(peak - before, 1.0), "peak_mib": peak}

@@ -6,20 +6,23 @@ import math
 import os
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from cloak_core.bench.simulated_people import write_simulated
 from cloak_core.bench.step import Bench
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.settings import make_settings
 from cloak_core.detectors.loading import load_detector
+from cloak_core.files.writing import write_json
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.sources.photographs.people import load_people
+from cloak_core.sources.photographs.landmarks import BLAZEPOSE
+from cloak_core.sources.photographs.people import People, load_people
 from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import clothes_cover
 
@@ -29,6 +32,10 @@ STEPS = 12
 WORN = 64
 """People who are dressed, spread over all; their time is that of all of them."""
 SIZE = 416
+LEAST, MOST = 110, 400
+"""Heights of simulated people, pixels."""
+SHARD = 1000
+"""People of one file."""
 
 
 def grow_people(count: int, people: str, images: Path | None) -> dict[str, float]:
@@ -38,29 +45,34 @@ def grow_people(count: int, people: str, images: Path | None) -> dict[str, float
     milliseconds of an update on `BATCH` of them, and of its detector alone; wear: everybody dressed once; disk:
     kilobytes of fits a person.
     """
+    seconds: dict[str, float] = {}
+
+    def timed(name: str, action: Callable[[], object]) -> object:
+        started = time.perf_counter()
+        result = action()
+        seconds[name] = time.perf_counter() - started
+        return result
+
     with tempfile.TemporaryDirectory() as folder:
         listed = write_simulated(load_people(people, images), count, Path(folder, "people"))
         os.environ["CLOAK_CACHE"] = str(Path(folder, "cache"))
-        clock = _Stages()
-        everybody = clock.time("read", lambda: load_people(listed))
-        clock.time("again", lambda: load_people(listed))
-        fits = clock.time("fit", lambda: fit_people(everybody))
+        everybody = timed("read_s", lambda: load_people(listed))
+        timed("again_s", lambda: load_people(listed))
+        fits = timed("fit_s", lambda: fit_people(everybody))
         stored = sum(path.stat().st_size for path in Path(folder, "cache", "fits").iterdir())
         settings = make_settings("photographs", batch=BATCH, size=SIZE, steps=1000)
         bench = Bench(load_scene("sample[0:1]"), None, load_backgrounds("procedural:train:8"), settings, fits)
         step = bench.measure([load_detector("builtin")], STEPS)
         grey = controls(("grey",), OwnClothing(clothes_cover()))["grey"]
-        images = people_images(fits, load_backgrounds("procedural:test:1"), WearSettings(size=SIZE))
+        shown = people_images(fits, load_backgrounds("procedural:test:1"), WearSettings(size=SIZE))
         some = np.linspace(0, len(fits) - 1, min(WORN, len(fits))).astype(int).tolist()
-        clock.time("wear", lambda: [images.render([k], grey) for k in some])
-        seconds = dict(clock.seconds)
-        seconds["wear"] *= len(fits) / len(some)
-        figures = {f"{name}_s": value for name, value in seconds.items()}
-        figures |= {"step_ms": step["step_ms"], "floor_ms": step["floor_ms"], "disk_kB": stored / len(fits) / 1000}
-        return {"seconds": seconds["read"] + seconds["fit"]} | figures
+        timed("wear_s", lambda: [shown.render([k], grey) for k in some])
+        seconds["wear_s"] *= len(fits) / len(some)
+        figures = {"step_ms": step["step_ms"], "floor_ms": step["floor_ms"], "disk_kB": stored / len(fits) / 1000}
+        return {"seconds": seconds["read_s"] + seconds["fit_s"]} | seconds | figures
 
 
-def grow_step(detectors: int, squares: int | None) -> dict[str, float]:
+def grow_step(detectors: int = 1, squares: int | None = None) -> dict[str, float]:
     """Train against copies of the embedded detector, or with a cloth of about so many squares: seconds of a step."""
     changes: dict[str, object] = {"batch": 2, "size": 224, "steps": 1000}
     if squares is not None:
@@ -71,14 +83,53 @@ def grow_step(detectors: int, squares: int | None) -> dict[str, float]:
     return {"seconds": step["step_ms"] / 1000, "floor_ms": step["floor_ms"]}
 
 
-class _Stages:
-    """Seconds of named stages."""
+def write_simulated(people: People, count: int, folder: Path, seed: int = 0) -> Path:
+    """Write `count` people in COCO's format, `SHARD` a file, and the list of these files, which is returned.
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+    Each is one of `people`, scaled and recoloured, and has a photograph of her own.
+    """
+    folder.mkdir(parents=True)
+    names = []
+    for start in range(0, count, SHARD):
+        images, annotations = [], []
+        for number in range(start, min(start + SHARD, count)):
+            random = np.random.default_rng([seed, number])
+            person = people.people[number % len(people)]
+            rows = np.flatnonzero(person.mask.any(axis=1))
+            scale = float(np.clip(random.uniform(0.7, 1.15), *np.array([LEAST, MOST]) / (rows[-1] + 1 - rows[0])))
+            size = round(person.image.shape[1] * scale), round(person.image.shape[0] * scale)
+            recolored = np.clip(person.image * random.uniform(0.75, 1.25, 3), 0, 255).astype(np.uint8)
+            picture = Image.fromarray(recolored).resize(size, Image.Resampling.BILINEAR)
+            picture.save(folder / f"{number}.jpg", quality=90)
+            mask = np.array(Image.fromarray(person.mask).resize(size, Image.Resampling.NEAREST))
+            landmarks = person.landmarks.moved((0.0, 0.0), scale)
+            points, depth, visibility = np.zeros((33, 2)), np.zeros(33), np.zeros(33)
+            points[list(BLAZEPOSE)], visibility[list(BLAZEPOSE)] = landmarks.xy, landmarks.visibility
+            if landmarks.depth is not None:
+                depth[list(BLAZEPOSE)] = -landmarks.depth
+            pose = {"xy": points.ravel(), "visibility": visibility, "z": depth}
+            annotations.append(
+                {
+                    "id": number,
+                    "image_id": number,
+                    "iscrowd": 0,
+                    "blazepose": {name: values.round(2).tolist() for name, values in pose.items()},
+                    **_outline(mask),
+                }
+            )
+            images.append({"id": number, "file_name": f"{number}.jpg", "width": size[0], "height": size[1]})
+        names.append(f"people-{start // SHARD}.json")
+        write_json(folder / names[-1], {"images": images, "annotations": annotations})
+    path = folder / "people.txt"
+    path.write_text("\n".join(names) + "\n", encoding="utf-8")
+    return path
 
-    def time(self, name: str, action: object) -> object:
-        started = time.perf_counter()
-        result = action()
-        self.seconds[name] = time.perf_counter() - started
-        return result
+
+def _outline(mask: np.ndarray) -> dict:
+    """A mask as COCO has it: box and run lengths, column by column, of what is outside and inside in turn."""
+    y, x = np.nonzero(mask)
+    box = [int(x.min()), int(y.min()), int(x.max() - x.min() + 1), int(y.max() - y.min() + 1)]
+    flat = np.concatenate([[False], mask.T.ravel(), [False]])
+    ends = np.flatnonzero(flat[1:] != flat[:-1])
+    counts = np.diff(np.concatenate([[0], ends, [mask.size]])).tolist()
+    return {"bbox": box, "segmentation": {"size": list(mask.shape), "counts": counts}}

@@ -138,34 +138,6 @@ class Mitsuba(Peer):
         return ids.reshape(self._shape)
 
 
-class Open3D(Peer):
-    """Open3D's ray casting scene, which is Embree with its own threads."""
-
-    module = "open3d"
-
-    def __init__(self, triangles: np.ndarray, threads: int) -> None:
-        import open3d
-
-        self._open3d = open3d
-        self._threads = threads
-        self._triangles = open3d.core.Tensor(triangles.astype(np.uint32))
-
-    def pose(self, vertices: np.ndarray) -> None:
-        self._scene = self._open3d.t.geometry.RaycastingScene(self._threads)
-        self._scene.add_triangles(self._open3d.core.Tensor(vertices), self._triangles)
-        self._cast(np.ones((1, 6), np.float32))  # the first ray builds the tree
-
-    def aim(self, target: Target) -> None:
-        self._shape = target.shape
-        self._rays = np.concatenate(target.rays(), 1)
-
-    def look(self) -> np.ndarray:
-        return self._cast(self._rays).view(np.int32).reshape(self._shape)  # "none" is all ones: -1
-
-    def _cast(self, rays: np.ndarray) -> np.ndarray:
-        return self._scene.cast_rays(self._open3d.core.Tensor(rays), self._threads)["primitive_ids"].numpy()
-
-
 _VERTEX = """#version 330
 uniform mat4 clip; in vec3 position;
 void main() { gl_Position = clip * vec4(position, 1); }"""
@@ -237,28 +209,26 @@ def _clip_matrix(target: Target) -> np.ndarray:
     return lens @ view
 
 
-PEERS: tuple[type[Peer], ...] = (Embree, Mitsuba, OpenGL, Open3D)
+PEERS: tuple[type[Peer], ...] = (Embree, Mitsuba, OpenGL)
 
 
 def available() -> dict[str, str]:
     """Each peer's version, or in words why it cannot be used here."""
-    return {kind.module: _state(kind) for kind in PEERS}
+    states = {}
+    for kind in PEERS:
+        try:
+            kind(np.array([[0, 1, 2]]), 1).pose(np.eye(3, dtype=np.float32))
+            states[kind.module] = importlib.metadata.version(kind.module)
+        except ImportError as error:
+            states[kind.module] = f"missing: {error}"
+        except Exception as error:  # a library behind the package: libGL, libLLVM, a driver
+            states[kind.module] = f"missing: {type(error).__name__}: {error}"
+    return states
 
 
 def usable(states: dict[str, str]) -> Iterator[type[Peer]]:
     """List the peers that `available` gave a version for."""
     return (kind for kind in PEERS if not states[kind.module].startswith("missing"))
-
-
-def _state(kind: type[Peer]) -> str:
-    one = np.array([[0, 1, 2]])
-    try:
-        kind(one, 1).pose(np.eye(3, dtype=np.float32))
-        return importlib.metadata.version(kind.module)
-    except ImportError as error:
-        return f"missing: {error}"
-    except Exception as error:  # a library behind the package: libGL, libLLVM, a driver
-        return f"missing: {type(error).__name__}: {error}"
 
 
 class PeerViewCache(ViewCache):

@@ -5,22 +5,20 @@ from __future__ import annotations
 import dataclasses
 import logging
 import statistics
-import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from cloak_core.bench.records import write_rows
-from cloak_core.bench.views import chest_and_thighs, machine
+from cloak_core.bench.measuring import check_counts, machine, timed_in_turn, write_rows
+from cloak_core.bench.views import chest_and_thighs
 from cloak_core.core.batches import Prefetcher
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import EventLog
-from cloak_core.core.logo import make_logo
+from cloak_core.core.logo import make_logo, shirt_trousers
 from cloak_core.core.losses import disappearance
 from cloak_core.core.objective import Objective, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
@@ -29,7 +27,6 @@ from cloak_core.core.technique import Setup, Techniques
 from cloak_core.core.train import make_batcher
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
@@ -40,8 +37,6 @@ from cloak_core.studies.trainings.run_record import Training
 from cloak_core.studies.trainings.training import make_material
 
 _log = logging.getLogger(__name__)
-WARM_UP = 3
-"""Rounds that are not counted: what allocates, compiles and plans on first use."""
 
 
 def run_bench_step(
@@ -69,8 +64,7 @@ def run_bench_step(
     for a view of its own. Logo: chest and thighs unless given; with people shirt and trousers. `tell` hears of each
     detector before it is timed.
     """
-    if repeats < 1 or threads < 1:
-        raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
+    check_counts(repeats, threads)
     settings = settings or make_settings("photographs" if people else "best")
     with torch_threads(threads):
         tell("building views that the clock does not count")
@@ -103,16 +97,19 @@ class Bench:
         self.settings = settings = settings.changed(epochs=None, steps=1_000_000)
         self.device = torch.device(settings.compute.device)
         if logo_faces is None:
-            logo_faces = _clothes(bodies) if people else chest_and_thighs(bodies)
+            logo_faces = shirt_trousers(bodies) if people else chest_and_thighs(bodies)
         self.logo = make_logo(bodies, logo_faces)
         self.pattern = pattern_of(settings.pattern, bodies, self.logo)
-        self.plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
         material = make_material(Training(settings, bodies, self.logo, (), backgrounds, people), self.device)
         self.is_fresh = material.source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
         techniques = Techniques.built(Setup(settings, self.pattern, [], self.device))
         self.batcher = make_batcher(settings, material, self.pattern, self.device, techniques)
-        # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
-        for number in range(self._warm_up_steps()):
+        plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
+        views = plan.members * plan.directions * plan.outfit_count
+        # Every view that is kept is to be met before the clock runs: drawn at random, all of n are met after about
+        # n (ln n + 3) draws.
+        images = 0 if self.is_fresh else views * (np.log(views) + 3)
+        for number in range(int(np.ceil(images / settings.run.batch)) + 1):
             self.batcher.batch(number)
 
     def measure(self, detectors: Sequence[Detector], repeats: int) -> dict:
@@ -126,7 +123,7 @@ class Bench:
         upstream = torch.zeros_like(ready)
         prefetcher = Prefetcher(self.batcher)
 
-        def floor() -> None:
+        def floor(number: int) -> None:
             ready.grad = None
             for detector in detectors:
                 disappearance(detector(ready), settings.objective.loss).backward()
@@ -137,102 +134,39 @@ class Bench:
             log.write({"type": "step", "step": number, "time": 0.0} | dataclasses.asdict(figures))
             prefetcher.finish()
 
+        def next_batch(number: int) -> None:
+            batches[0] = self.batcher.batch(500_000 + number)
+
         def paint(number: int) -> None:
             optimizer.clear()
-            batches[number].images(optimizer.colors()).backward(upstream)
+            batches.pop(0).images(optimizer.colors()).backward(upstream)
 
-        def update() -> None:
+        def update(number: int) -> None:
             optimizer.clear()
             objective.total_variation(optimizer.colors()).backward()
             optimizer.update(settings.optimization.lr)
             log.write({"type": "step", "step": 0, "time": 0.0})
 
-        clock = Clock(self.device)
+        works = {"floor": floor, "step": step, "next_batch": next_batch, "paint": paint, "update": update}
         batches = {}
-        with _event_log() as log:
-            for number in range(repeats + WARM_UP):
-                clock.counts = number >= WARM_UP
-                clock.time("floor", floor)
-                clock.time("step", lambda n=number: step(n))
-                clock.time("next_batch", lambda n=number: batches.update({n: self.batcher.batch(500_000 + n)}))
-                clock.time("paint", lambda n=number: paint(n))
-                clock.time("update", update)
-                batches.clear()
+        with tempfile.TemporaryDirectory() as folder, closing(EventLog(Path(folder, "events.jsonl"))) as log:
+            times = timed_in_turn(works, repeats, settings.compute.device)
         prefetcher.close()
-        views = "fresh" if self.is_fresh else "kept"
-        record = {"name": " + ".join(dict.fromkeys(detector.name for detector in detectors))}
-        record |= clock.record(settings.run.batch) | {"views": views, "logo_faces": len(self.logo)}
-        return record | {"colors": self.pattern.count}
+        name = " + ".join(dict.fromkeys(detector.name for detector in detectors))
+        return {"name": name, **self._record({key: statistics.median(values) for key, values in times.items()})}
 
-    def _warm_up_steps(self) -> int:
-        views = self.plan.members * self.plan.directions * self.plan.outfit_count
-        # Drawn at random, all of n views are met after about n (ln n + 3) draws.
-        images = 0 if self.is_fresh else views * (np.log(views) + 3)
-        return int(np.ceil(images / self.settings.run.batch)) + 1
-
-
-def _clothes(bodies: Bodies) -> np.ndarray:
-    """Faces of shirt and trousers. InputError: the scene does not name them."""
-    if missing := {"shirt", "trousers"} - set(bodies.regions):
-        raise InputError(
-            f"--people: the scene {bodies.name} has no region {', '.join(sorted(missing))} to lay a cloth on"
-        )
-    return np.flatnonzero(bodies.regions["shirt"] | bodies.regions["trousers"]).astype(np.int64)
-
-
-class Clock:
-    """Milliseconds and page faults of named actions, one entry for each round that `counts`."""
-
-    def __init__(self, device: torch.device) -> None:
-        self.device = device
-        self.counts = False
-        self.milliseconds: dict[str, list[float]] = {}
-        self.faults: dict[str, list[int]] = {}
-
-    def time(self, name: str, action: Callable[[], None]) -> None:
-        self._wait()
-        faults = _minor_faults()
-        started = time.perf_counter()
-        action()
-        self._wait()
-        took = 1e3 * (time.perf_counter() - started)
-        if self.counts:
-            self.milliseconds.setdefault(name, []).append(took)
-            self.faults.setdefault(name, []).append(_minor_faults() - faults)
-
-    def record(self, batch: int) -> dict:
-        median = {name: statistics.median(values) for name, values in self.milliseconds.items()}
-        floor, step = median.pop("floor"), median.pop("step")
-        rest = step - floor - sum(median.values())
+    def _record(self, parts: dict[str, float]) -> dict:
+        """Compare a step with its floor; parts: medians of all that was timed, milliseconds."""
+        floor_ms, step_ms = parts.pop("floor"), parts.pop("step")
+        parts["rest"] = step_ms - floor_ms - sum(parts.values())
         return {
-            "batch": batch,
-            "floor_ms": round(floor, 3),
-            "step_ms": round(step, 3),
-            "ratio": round(step / floor, 4),
-            "overhead_ms_per_image": round((step - floor) / batch, 3),
-            "parts_ms": {name: round(value, 3) for name, value in (median | {"rest": rest}).items()},
-            "page_faults": {name: int(statistics.median(self.faults[name])) for name in ("floor", "step")},
+            "batch": self.settings.run.batch,
+            "floor_ms": round(floor_ms, 3),
+            "step_ms": round(step_ms, 3),
+            "ratio": round(step_ms / floor_ms, 4),
+            "overhead_ms_per_image": round((step_ms - floor_ms) / self.settings.run.batch, 3),
+            "parts_ms": {name: round(value, 3) for name, value in parts.items()},
+            "views": "fresh" if self.is_fresh else "kept",
+            "logo_faces": len(self.logo),
+            "colors": self.pattern.count,
         }
-
-    def _wait(self) -> None:
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-
-
-def _minor_faults() -> int:
-    """Pages that the system has handed this process so far; 0 where it does not say."""
-    if sys.platform == "win32":
-        return 0
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-
-
-@contextmanager
-def _event_log() -> Iterator[EventLog]:
-    with tempfile.TemporaryDirectory() as folder:
-        log = EventLog(Path(folder) / "events.jsonl")
-        try:
-            yield log
-        finally:
-            log.close()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import platform
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -14,6 +12,7 @@ from typing import Literal
 import numpy as np
 import torch
 
+from cloak_core.bench.measuring import check_counts, clock, machine, timed
 from cloak_core.core.cameras import Camera
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.paint import compose
@@ -21,7 +20,6 @@ from cloak_core.core.visibility.settings import GRIDS, RenderSettings
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Tell
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.studies.pace import in_turn
@@ -48,42 +46,40 @@ def run_bench_views(
     coverage by area, and how many times as long `BATCH` views at once take (medians of a quarter of the runs).
     samples: the only way to be timed; None: all of them, 1 in full. `tell` hears of each before it is timed.
     """
-    if repeats < 1 or threads < 1:
-        raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
+    check_counts(repeats, threads)
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
     camera = camera or Camera(azimuth=-10.0)
+    keys = [(0, replace(camera, azimuth=camera.azimuth + i)) for i in range(BATCH)]
+
+    def cache_of(kind: int | Literal["area"]) -> ViewCache:
+        return ViewCache(bodies, RenderSettings(samples=None if kind == "area" else kind, device=device))
+
+    def one_and_many(kind: int | Literal["area"]) -> dict[str, float]:
+        cache, result = cache_of(kind), {}
+        for name, work in (("visibility", cache.visible), ("new_view", cache.build)):
+            single, batch = (
+                timed(partial(work, some), max(3, repeats // 4), device, warm_up=2)["median"]
+                for some in (keys[:1], keys)
+            )
+            result |= {f"{name}_ms": single, f"{name}_batch_ratio": batch / single}
+        return result
+
     with torch_threads(threads):
         kinds = (*GRIDS, "area") if samples is None else (samples,)
         tell(f"{repeats} repetitions of everything at {samples or 1} a pixel")
-        cache = _cache(bodies, samples or 1, device)
-        key = [(0, camera)]
-        result = {
-            "visibility_ms": timed(lambda: cache.visible(key), repeats, device),
-            "new_view_ms": timed(lambda: cache.build(key), repeats, device),
+        cache = cache_of(samples or 1)
+        return {
+            "visibility_ms": timed(lambda: cache.visible(keys[:1]), repeats, device),
+            "new_view_ms": timed(lambda: cache.build(keys[:1]), repeats, device),
             "cached_ms": timed(cached_render(cache, camera), repeats, device),
             "by_samples": {
-                str(kind): _one_and_many(_cache(bodies, kind, device), camera, repeats)
-                for kind in in_turn(kinds, "samples a pixel: {}".format, tell)
+                str(kind): one_and_many(kind) for kind in in_turn(kinds, "samples a pixel: {}".format, tell)
             },
+            "samples": samples or 1,
+            "threads": threads,
+            "clock": clock(device),
+            "machine": machine(device),
         }
-        measured = {"threads": threads, "clock": clock(device), "machine": machine(device)}
-    return result | {"samples": samples or 1} | measured
-
-
-def _cache(bodies: Bodies, kind: int | Literal["area"], device: str) -> ViewCache:
-    return ViewCache(bodies, RenderSettings(samples=None if kind == "area" else kind, device=device))
-
-
-def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:
-    keys = [(0, replace(camera, azimuth=camera.azimuth + i)) for i in range(BATCH)]
-    result = {}
-    for name, work in (("visibility", cache.visible), ("new_view", cache.build)):
-        single, batch = (
-            timed(partial(work, some), max(3, repeats // 4), cache.device.type, warm_up=2)["median"]
-            for some in (keys[:1], keys)
-        )
-        result |= {f"{name}_ms": single, f"{name}_batch_ratio": batch / single}
-    return result
 
 
 def cached_render(cache: ViewCache, camera: Camera) -> Callable[[], None]:
@@ -121,47 +117,3 @@ def chest_and_thighs(bodies: Bodies) -> np.ndarray:
     chosen = ((level > 0.66) & (level < 0.82)) | ((level > 0.3) & (level < 0.48))
     chosen &= face_normals(bodies)[:, 2] > 0
     return np.flatnonzero(chosen if chosen.any() else ~chosen)
-
-
-def timed(work: Callable[[], object], repeats: int, device: str = "cpu", warm_up: int = 3) -> dict[str, float]:
-    """Median and least milliseconds of `repeats` runs of `work`, after some that do not count; see `clock`."""
-    wait = torch.cuda.synchronize if str(device).startswith("cuda") else lambda: None
-    now = time.process_time if clock(device) == "processor" else time.perf_counter
-    times = []
-    for run in range(warm_up + repeats):
-        wait()
-        start = now()
-        work()
-        wait()
-        if run >= warm_up:
-            times.append((now() - start) * 1e3)
-    return {"median": float(np.median(times)), "min": float(min(times))}
-
-
-def clock(device: str = "cpu") -> str:
-    """Which time is measured: with one thread on the CPU the processor's, in which what else the machine does counts
-    for little; else the wall's, as threads and devices wait for each other."""
-    return "processor" if str(device).startswith("cpu") and torch.get_num_threads() == 1 else "wall"
-
-
-def machine(device: str = "cpu") -> dict[str, str]:
-    """Describe what the figures were measured on."""
-    name = torch.cuda.get_device_name() if str(device).startswith("cuda") else _processor()
-    return {
-        "date": time.strftime("%Y-%m-%d"),
-        "device": name,
-        "cores": str(os.cpu_count()),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
-
-
-def _processor() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            for line in file:
-                if line.startswith("model name"):
-                    return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

@@ -216,8 +216,7 @@ class Growth(Bench):
     """Some of triangles, views, pixels, samples, detectors, squares, people (default: all, people where --people
     names some)."""
     people: str | None = None
-    """COCO file of people in photographs, of whom 100 to 10,000 others are made: mirrored, scaled, cropped,
-    recoloured."""
+    """COCO file of people in photographs, of whom 100 to 10,000 others are made: scaled and recoloured."""
     images: Path | None = None
     """Folder of these photographs (default: beside the file, or images/ beside it)."""
     most: int | None = None
@@ -247,8 +246,7 @@ class Growth(Bench):
 class Gpu(Bench):
     """Measure on a CUDA device what only one can tell, in one record.
 
-    Beside nvdiffrast and DRTK, where they are installed. Without a device it says which parts were not run, and counts
-    the operations of a new view.
+    Without a device it says which parts were not run, and counts the operations of a new view.
     """
 
     example = "--out gpu.json"
