@@ -24,7 +24,7 @@ WITH_CLASSES = (
     *("trainer.operators", "body.operators", "logo.operators", "logo.pick", "logo.paint", "logo.stamp_operators"),
     *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.try_it"),
     "result.cloths",
-    *("trainer.panel", "body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel", "result.wear"),
+    *("trainer.panel", "body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel"),
 )
 """Modules whose classes are registered, in the order of the panels."""
 ROOMS = (properties, run_list, drawing)  # modules that register something before the classes

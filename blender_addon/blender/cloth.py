@@ -7,9 +7,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .marks import CLOTH, PREFIX, layer_name, make_uv_map, remove_layer
-from .mesh_arrays import read
-from .pictures import image_pixels, load_image
+from .marks import CLOTH, PREFIX, make_uv_map, remove_layer
+from .pictures import load_image
 
 METRES = "cloak.metres"  # of a material that shows a ready cloth: after how many metres it repeats
 
@@ -72,12 +71,6 @@ def take_off(mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
     for thing, kept in ((material, bpy.data.materials), (image, bpy.data.images)):
         if thing is not None and not thing.users:
             kept.remove(thing)
-
-
-def worn_pixels(mesh: bpy.types.Mesh, image: bpy.types.Image, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[n, 3] sRGB of the cloth at points of the mesh: weights [n, 3] of three corners [n, 3] each."""
-    places = read(mesh.uv_layers[layer_name(mesh, CLOTH)].uv, "vector", 2)
-    return pixels_at(image_pixels(image), (places[corners] * weights[..., None]).sum(1))[:, :3]
 
 
 def pixels_at(pixels: np.ndarray, uv: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ Plane coordinates [n, 3]: x and y in the projection's plane, and an inverse dept
 linear over each triangle's image.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -58,13 +58,10 @@ def meetings(low: np.ndarray, high: np.ndarray, places: np.ndarray) -> Iterator[
         yield boxes, order[place]
 
 
-def depth_buffer(
-    points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int], show: Callable[[float], None] = lambda part: None
-) -> tuple[np.ndarray, np.ndarray]:
+def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Inverse depth [H, W] of the nearest triangle in the middle of each cell (-inf: none), and its number (-1: none).
 
-    points: plane coordinates [V, 3], x and y counted in cells. shape: how many cells there are (width, height). show:
-    called with the share that is done, 0 to 1.
+    points: plane coordinates [V, 3], x and y counted in cells. shape: how many cells there are (width, height).
     """
     width, height = shape
     x, y, z = (points[:, axis][triangles].astype(np.float64) - middle for axis, middle in enumerate((0.5, 0.5, 0)))
@@ -94,7 +91,6 @@ def depth_buffer(
         order = np.argsort(depth, kind="stable")  # of several values for one cell the last one written stays
         order = order[depth[order] >= nearness[cell[order]]]
         nearness[cell[order]], owner[cell[order]] = depth[order], of[order]
-        show(end / max(1, len(row)))
     return nearness.reshape(height, width), owner.reshape(height, width)
 
 

@@ -20,6 +20,7 @@ from ..blender.marks import COLORS
 from ..blender.mesh_arrays import box_of, face_count, read, require_object_mode, to_world, topology
 from ..files.errors import InputError
 from ..session import session
+from ..ui.window import show_progress
 from .objects import below
 
 
@@ -184,15 +185,13 @@ def write_worn(
             colors.activate(obj, COLORS)
 
 
-def faces_over(
-    context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.types.Object, logo: str, show: Callable[[float], None]
-) -> np.ndarray:
+def faces_over(context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.types.Object, logo: str) -> np.ndarray:
     """Mask [F] of the faces of `worn` whose nearest place on the body lies on the logo.
 
     Both as they stand now; where modifiers make other faces, the mesh's own.
     """
     body, cloth = read_surface(context, obj), read_surface(context, worn)
-    show(0.3)
+    show_progress(0.3)
     on_logo = logo_mask(obj, logo)
     chosen = (body.own >= 0) & on_logo[np.maximum(body.own, 0)]
     low, high = body.centers[chosen].min(0), body.centers[chosen].max(0)
@@ -205,5 +204,5 @@ def faces_over(
     for index, point in enumerate(local):
         over[index] = chosen[tree.find_nearest(point)[2]]
         if index % 10_000 == 0:
-            show(0.4 + 0.6 * index / len(near))
+            show_progress(0.4 + 0.6 * index / len(near))
     return cloth.own_mask(near[over])

@@ -17,6 +17,7 @@ from ..blender.marks import ORIGINAL_FACE, PREFIX, free_name, layer_name, mark
 from ..blender.mesh_arrays import bmesh_of
 from ..files.errors import InputError
 from ..session import session
+from ..ui.window import show_progress
 
 NO_BODY = "Choose a body first"
 
@@ -74,9 +75,7 @@ def require_upright(obj: bpy.types.Object) -> None:
         )
 
 
-def subdivide(
-    obj: bpy.types.Object, triangulate: bool = True, show: Callable[[float], None] = lambda fraction: None
-) -> tuple[int, int]:
+def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> tuple[int, int]:
     """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4, n-gons 1 -> n quads.
 
     With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
@@ -90,8 +89,8 @@ def subdivide(
             mark(mesh, ORIGINAL_FACE, layer.name)
             for index, face in enumerate(bm.faces):
                 face[layer] = index
-        show(0.05)
-        _split(obj, bm, keep_quads=not triangulate, show=show)
+        show_progress(0.05)
+        _split(obj, bm, keep_quads=not triangulate)
         after = len(bm.faces)
         if obj.mode == "EDIT":
             bmesh.update_edit_mesh(mesh, destructive=True)
@@ -101,7 +100,7 @@ def subdivide(
     return before, after
 
 
-def _split(obj: bpy.types.Object, bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
+def _split(obj: bpy.types.Object, bm: bmesh.types.BMesh, keep_quads: bool) -> None:
     hidden_name, corner_name = free_name(obj, PREFIX + "hidden"), free_name(obj, PREFIX + "corner")
     hidden = any(face.hide for face in bm.faces)
     if hidden:  # splitting does not hand the flag down reliably
@@ -112,9 +111,9 @@ def _split(obj: bpy.types.Object, bm: bmesh.types.BMesh, keep_quads: bool, show:
     corner = bm.verts.layers.int.new(corner_name)
     for vert in bm.verts if has_ngons else ():
         vert[corner] = True
-    show(0.1)
+    show_progress(0.1)
     middles = bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)["geom_inner"]
-    show(0.5)
+    show_progress(0.5)
     if has_ngons:
         for element in middles:
             if isinstance(element, bmesh.types.BMVert):
@@ -122,7 +121,7 @@ def _split(obj: bpy.types.Object, bm: bmesh.types.BMesh, keep_quads: bool, show:
         _split_ngons(bm, corner_name, keep_quads)
     if not keep_quads:
         bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
-    show(0.9)
+    show_progress(0.9)
     if hidden:
         layer = bm.faces.layers.int[hidden_name]
         for face, flag in [(face, face[layer]) for face in bm.faces]:

@@ -33,7 +33,7 @@ keys, weights, materials, UVs and logos are kept"""
         return self.execute(context)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        before, after = subdivide(obj, self.triangulate, self.show)
+        before, after = subdivide(obj, self.triangulate)
         return f"'{obj.name}': {before:,} faces became {after:,}"
 
 
@@ -97,7 +97,7 @@ class CLOAK_OT_logo_onto(BodyOperator, label="Put the Logo on It", needs=logo_re
         if worn is None:
             raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
         logo = active_logo(obj)
-        mask = faces_over(context, obj, worn, logo, self.show)
+        mask = faces_over(context, obj, worn, logo)
         if not mask.any():
             raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
         write_faces(worn, logo, mask)

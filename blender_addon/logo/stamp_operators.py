@@ -16,7 +16,7 @@ from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
-from ..ui.window import main_region
+from ..ui.window import main_region, show_progress
 from . import stamp
 from .operators import take
 from .overlay import ADDED, MOVES, Preview
@@ -46,13 +46,13 @@ class StampOperator(BodyOperator):
             ink, self._name = stamp.smiley_stamp(), "Smiley"
         self._obj, self._worn = obj, worn_by(obj)  # clothing takes the faces that it covers
         self._placed = Placed(joined([read_surface(context, one) for one in (obj, *self._worn)]), ink)
-        self.show(0.6)  # a body with subdivision takes seconds
+        show_progress(0.6)  # a body with subdivision takes seconds
         return settings
 
     def write(self, projection: Projection, add: bool) -> str:
         """Make the logo, or add to the active one; returns what to say."""
         mask = self._placed.own_mask(projection)
-        self.show(0.9)
+        show_progress(0.9)
         name = take(self._obj, mask, self._name, add, self._worn)
         return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
 

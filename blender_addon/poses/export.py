@@ -27,7 +27,7 @@ from ..files.identity import sha256_arrays, sha256_record
 from ..files.reading import read_json
 from ..files.writing import new_folder, write_json
 from ..properties import pose_choice
-from ..ui.window import progress_cursor
+from ..ui.window import progress_cursor, show_progress
 from .poses import PoseChoice, first_frame, list_poses, require_faces, require_own_animation, require_size, visit
 
 RECORD = "export.json"
@@ -92,13 +92,13 @@ def _bodies_and_garments(
     frames: list[list[Part]] = []
     play_from = first_frame(context.scene, objects)
     # Detector's Eye exports one pose again and again, which the pointer need not tell.
-    pointer = progress_cursor(context) if len(poses) > 1 else nullcontext(lambda fraction: None)
-    with visit(context, obj, play_from) as go, pointer as show:
+    pointer = progress_cursor() if len(poses) > 1 else nullcontext()
+    with visit(context, obj, play_from) as go, pointer:
         go(poses[0])
         graph = context.evaluated_depsgraph_get()
         with numbered_faces([o for o in wearing if changes_faces(o, graph)]):
             for done, pose in enumerate(poses):
-                show(done / len(poses))
+                show_progress(done / len(poses))
                 go(pose)
                 graph = context.evaluated_depsgraph_get()
                 frames.append([_evaluate(o, graph, o in wearing, with_triangles=not frames) for o in objects])

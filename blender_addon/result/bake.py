@@ -5,19 +5,26 @@ Every texel whose middle lies in a face takes that face's colour; around the isl
 that filtering finds no edge. A UV map of Cloak's own gives every face a square of texels.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.cloth import show_on, worn_pixels
-from ..blender.marks import COLORS, UV_MAP, layer_name, make_uv_map, our_names
-from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, require_object_mode, triangle_corners
+from ..blender.cloth import pixels_at, show_on
+from ..blender.marks import CLOTH, COLORS, UV_MAP, layer_name, make_uv_map, our_names
+from ..blender.mesh_arrays import (
+    corner_counts,
+    mean_of_corners,
+    read,
+    require_object_mode,
+    triangle_areas,
+    triangle_corners,
+)
 from ..blender.occlusion import depth_buffer
 from ..blender.pictures import image_pixels, new_image, show_preview
 from ..files.errors import InputError
+from ..ui.window import show_progress
 
 MARGIN = 4  # texels by which colours go on beyond the islands
 OFF = 4 / 255  # largest colour error of a face in the image
@@ -37,7 +44,7 @@ class Baked:
     off_before: int | None = None  # wrong faces on the body's own UV map, if Cloak made another; else None
 
 
-def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambda fraction: None) -> Baked:
+def bake(obj: bpy.types.Object, size: int) -> Baked:
     """An image of what the body wears; makes a map of ours where the body has none, or one with too little room."""
     mesh = obj.data
     require_object_mode(obj, "Leave {mode} to bake the cloak")
@@ -47,31 +54,26 @@ def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambd
     ours = our_names(mesh)
     maps = (layer for layer in (mesh.uv_layers.active, *mesh.uv_layers) if layer and layer.name not in ours)
     users = next(maps, None)
-    if users is not None and uv_area(mesh, users.name) > MOST_AREA:
-        users = None
+    if users is not None:
+        places = np.c_[read(users.uv, "vector", 2), np.zeros(len(mesh.loops))]
+        if triangle_areas(places, triangle_corners(mesh)[0]).sum() > MOST_AREA:
+            users = None
     if users is not None:
         name = users.name
-        pixels = _on_map(mesh, name, wanted, size, lambda part: show(0.5 * part))
+        pixels = _on_map(mesh, name, wanted, size)
         off = faces_off(mesh, name, pixels, wanted)
         if off > FEW * len(wanted):
             before, users = off, None
     if users is None:
         name = make_own_map(obj, size)
         pixels = squares(len(wanted), size, wanted)
-        show(0.6)
         off = faces_off(mesh, name, pixels, wanted)
+    show_progress(0.6)
     _sew(mesh, name, pixels)
     image = new_image(f"{obj.name} cloak", pixels)
-    show(0.8)
+    show_progress(0.8)
     image.pack()
     return Baked(image, name, off, before)
-
-
-def uv_area(mesh: bpy.types.Mesh, uv_map: str) -> float:
-    """The area of all faces on a UV map, in unit squares."""
-    places = read(mesh.uv_layers[uv_map].uv, "vector", 2)[triangle_corners(mesh)[0]].astype(float)
-    a, b = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
-    return float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()) / 2
 
 
 def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.ndarray) -> int:
@@ -83,12 +85,10 @@ def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.
     return int((outside | (np.abs(pixels[y, x, :3] - wanted) > OFF).any(1)).sum())
 
 
-def _on_map(
-    mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int, show: Callable[[float], None]
-) -> np.ndarray:
+def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) -> np.ndarray:
     """[S, S, 4]: the colours on a UV map of the user's."""
     loops, owner = triangle_corners(mesh)
-    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size, show)
+    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size)
     pixels = np.zeros((size, size, 4), np.float32)
     filled = face >= 0
     pixels[filled] = np.append(wanted, np.ones((len(wanted), 1), np.float32), axis=1)[face[filled]]
@@ -110,7 +110,8 @@ def _sew(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray) -> None:
     a, b, c = (places[triangle, corner] - np.stack([x, y], 1) - 0.5 for corner in range(3))
     areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))], 1)
     weights = areas / areas.sum(1, keepdims=True)
-    pixels[y, x, :3] = worn_pixels(mesh, image, corners[triangle], weights)
+    sewn = read(mesh.uv_layers[layer_name(mesh, CLOTH)].uv, "vector", 2)[corners[triangle]]
+    pixels[y, x, :3] = pixels_at(image_pixels(image), (sewn * weights[..., None]).sum(1))[:, :3]
 
 
 def squares_along(count: int, size: int) -> int:
@@ -144,15 +145,13 @@ def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
     return np.append(wanted, np.ones((count, 1), np.float32), axis=1)[face]
 
 
-def rasterize(
-    places: np.ndarray, triangle_face: np.ndarray, size: int, show: Callable[[float], None] = lambda part: None
-) -> np.ndarray:
+def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> np.ndarray:
     """Texture coordinates [T, 3, 2] of faces [T] onto texels [size, size]: one of their faces, -1 for none.
 
     Row 0 is at the bottom, as Blender stores images. Triangles beyond the unit square are cut off.
     """
     points = np.concatenate([places.reshape(-1, 2) * size, np.zeros((3 * len(places), 1))], 1)
-    _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size), show)
+    _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size))
     return np.where(owner >= 0, triangle_face[owner], -1)
 
 

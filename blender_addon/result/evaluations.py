@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a cloak is judged: what the panel lets the user set (kept on the scene), and what `cloak evaluate` found out."""
+"""How a cloak is judged: what the panel lets the user set (kept on the scene), and what the trainer's judges found out.
 
-import math
+`cloak evaluate` and `cloak wear` give each detector's rates in the same form.
+"""
+
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain, groupby
 from pathlib import Path
@@ -12,12 +15,12 @@ from ..blender.blend_paths import absolute
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..poses.poses import PoseChoice
-from ..trainer.command_lines import SAMPLES, options
+from ..trainer.command_lines import SAMPLES
 from ..trainer.progress import finite
 from ..ui import props
 
-AROUND = 180  # an evaluation all around goes this many degrees to either side
-BARE = 256  # most empty backgrounds that are checked for false alarms
+UNREADABLE = (InputError, OSError, KeyError, TypeError, ValueError, AttributeError, IndexError)
+"""What a record that somebody damaged may raise."""
 
 
 class CloakJudging(bpy.types.PropertyGroup):
@@ -87,22 +90,13 @@ class CloakJudging(bpy.types.PropertyGroup):
             return None
         return PoseChoice("RANGE", self.frame_start, self.frame_end, self.frame_step)
 
-
-def evaluate_options(judging: CloakJudging, specs: tuple[str, ...], device: str) -> list[str]:
-    """Options of `cloak evaluate`, but for the scene."""
-    azimuths = len(range(-AROUND, AROUND, judging.angle))
-    angles = f"{-AROUND}:{-AROUND + (azimuths - 1) * judging.angle}:{judging.angle}"
-    words = options(specs, angles=angles, bare=min(BARE, judging.images), device=device)
-    # One pose must do for all the images; of more poses some are drawn.
-    words += [f"--images-per-view={math.ceil(judging.images / azimuths)}", f"--most-images={judging.images}"]
-    return [*words, backgrounds_option(judging)]
+    @property
+    def backgrounds_option(self) -> str:
+        """The trainer's option for the evaluation's backgrounds."""
+        return f"--backgrounds={absolute(self.backgrounds) or 'procedural:test'}"
 
 
-def backgrounds_option(judging: CloakJudging) -> str:
-    """Option of the trainer for the evaluation's backgrounds."""
-    return f"--backgrounds={absolute(judging.backgrounds) or 'procedural:test'}"
-
-
+THRESHOLD = 0.6  # of records that do not say theirs
 SUMMARY = Path("evaluation", "summary.json")
 CONTROLS = {"logo": "Cloak", "clothing": "Own clothing", "grey": "Grey", "random": "Random"}
 """What is compared, by its name in the summary, and its name in the panel."""
@@ -178,27 +172,31 @@ def read_evaluation(run: Path) -> Evaluation | None:
     path = run / SUMMARY
     try:
         summary = read_json(path)
-        detectors = tuple(_judged(spec, told, summary) for spec, told in summary["detectors"].items())
+        detectors = read_judged(summary, CONTROLS)
         unseen = {what: summary.get("unseen", {}).get(what) for what in ("bodies", "backgrounds")}
-        threshold = float(summary.get("settings", {}).get("threshold", 0.6))
+        threshold = float(summary.get("settings", {}).get("threshold", THRESHOLD))
         images = int(summary.get("n") or sum(sector.images for sector in detectors[0].sectors))
         outdated = (run / "colors.npy").stat().st_mtime > path.stat().st_mtime
-    except (InputError, OSError, KeyError, TypeError, ValueError, AttributeError, IndexError):
+    except UNREADABLE:
         return None
     return Evaluation(detectors, threshold, images, unseen, outdated)
 
 
-def _judged(spec: str, told: dict, summary: dict) -> Judged:
-    known = [name for name in CONTROLS if isinstance(told.get(name), dict)]
-    rates = {name: (_rate(told[name], ""), _rate(told[name], "_own")) for name in known}
-    sectors = []
-    for name, record in told.get("by_angle", {}).items():
-        azimuth, cloak, images = float(name), finite(record.get("success")), int(record.get("n") or 0)
-        if cloak is not None and images:
-            found = record.get("n_conditional")  # images in which the body was found in its own clothing
-            clothing = 1 - found / images if isinstance(found, int) else None
-            sectors.append(Sector(azimuth, cloak, clothing, images))
-    return Judged(spec, summary.get("operating_points", {}).get(spec), rates, tuple(sectors))
+def read_judged(record: dict, names: Iterable[str] = ()) -> tuple[Judged, ...]:
+    """Each detector's rates in an answer of the trainer, of what has these names; of all that has rates for none."""
+    detectors = []
+    for spec, answer in record["detectors"].items():
+        known = [name for name in names or answer if isinstance(answer.get(name), dict)]
+        rates = {name: (_rate(answer[name], ""), _rate(answer[name], "_own")) for name in known}
+        sectors = []
+        for name, measured in answer.get("by_angle", {}).items():
+            azimuth, cloak, images = float(name), finite(measured.get("success")), int(measured.get("n") or 0)
+            if cloak is not None and images:
+                found = measured.get("n_conditional")  # images in which the body was found in its own clothing
+                clothing = 1 - found / images if isinstance(found, int) else None
+                sectors.append(Sector(azimuth, cloak, clothing, images))
+        detectors.append(Judged(spec, record.get("operating_points", {}).get(spec), rates, tuple(sectors)))
+    return tuple(detectors)
 
 
 def _rate(record: dict, suffix: str) -> Rate:

@@ -3,12 +3,15 @@
 
 The trainer renders the view as it renders for training, in own clothing and (once there are colours) cloaked. A timer
 asks again when the view, the body or the colours have changed, as soon as the last answer is there; boxes are drawn
-over the viewport only where they belong to what it shows.
+over the viewport only where they belong to what it shows. `cloak look` stays as a process beside the jobs, so that a
+training can be watched: asked on its standard input, it answers in files, and ends when Blender does.
 """
 
+import json
 import logging
+import subprocess
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import bpy
@@ -21,11 +24,13 @@ from ..body.garments import worn_by
 from ..body.objects import object_of
 from ..files.errors import InputError
 from ..files.identity import sha256_arrays
+from ..files.reading import read_json
 from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.command_lines import cloak_command, options
-from ..trainer.onlooker import Onlooker, Seen
+from ..trainer.jobs import last_words
 from ..trainer.preferences import trainer
+from ..trainer.program import start_process
 from ..training.cloths import is_cloth
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
@@ -37,38 +42,85 @@ from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 LOG = logging.getLogger(__name__)
 LONGEST = 640  # pixels along the longer side of the pictures that the detector gets
 TICK_SECONDS = 0.2
+KINDS = {"clothing": ("Own clothing", (0.84, 0.37, 0.0)), "cloak": ("Cloak", (0.0, 0.55, 0.85))}
+"""What is looked at: its name, and the sRGB colour of its boxes."""
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What one detector saw of one kind of clothing."""
+
+    score: float  # of the surest person, thresholded or not
+    boxes: tuple[tuple[float, ...], ...]
+    """x1, y1, x2, y2, score; pixels of the picture from its upper left; best first."""
+    operating_point: float
+
+    @property
+    def found(self) -> bool:
+        return self.score > self.operating_point
+
+    def describe(self) -> str:
+        """found, 0.97."""
+        return f"{'found' if self.found else 'hidden'}, {self.score:.2f}"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """An answer: by detector and kind of clothing; and the pictures that were looked at, from where."""
+
+    glances: dict[str, dict[str, Glance]]
+    pictures: dict[str, Path]
+    width: int
+    height: int
+    viewpoint: Viewpoint | None = None
+
+
+def read_answer(path: Path, viewpoint: Viewpoint | None = None) -> Seen:
+    """The trainer's answer to a look. Raises `InputError` for a question that had none."""
+    record = read_json(path)
+    if "error" in record:
+        raise InputError(str(record["error"]))
+    try:
+        glances = {spec: {} for spec in record["detectors"]}
+        for spec, answer in record["detectors"].items():
+            for kind in (kind for kind in KINDS if kind in answer):
+                boxes = tuple(tuple(map(float, box)) for box in answer[kind]["boxes"])
+                score = float(answer[kind]["max_person"])
+                glances[spec][kind] = Glance(score, boxes, float(answer["operating_point"]))
+        pictures = {kind: Path(picture) for kind, picture in record["pictures"].items()}
+        return Seen(glances, pictures, int(record["width"]), int(record["height"]), viewpoint)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: not the answer to a look") from None
 
 
 class Eye:
-    """Watches one body through detectors."""
+    """Watches one body through detectors; it has one question at a time under way."""
 
-    def __init__(self, obj: bpy.types.Object, settings: bpy.types.PropertyGroup, folder: Path) -> None:
+    def __init__(self, obj: bpy.types.Object, settings: bpy.types.PropertyGroup, folder: Path, region: int = 0) -> None:
         self.message = ""  # why the detector cannot look now; "" if it can
         self.seen: Seen | None = None
-        self.viewpoint: Viewpoint | None = None  # viewpoint of the last answer
-        self.region = 0  # the viewport that is looked from, by its address; 0 for any
-        self._uid, self._folder = obj.session_uid, folder
+        self.region = region  # the viewport that is looked from, by its address; 0 for any
+        self.waiting = False
+        self._uid, self._folder, self._answer = obj.session_uid, folder, folder / "look.json"
         self._program = trainer()
-        self._look_with(judges(settings), settings.device)
-        self._asked: tuple | None = None
+        self._asked: tuple = ()
         self._asked_from: Viewpoint | None = None
         self._shape: tuple = ()
-        self._fitting: tuple[tuple, Path | None] = (), None
         self._exported: tuple = ()
+        self._fitting: tuple[tuple, Path | None] = (), None
+        self._start(judges(settings), settings.device)
 
-    def _look_with(self, specs: tuple[str, ...], device: str) -> None:
+    def _start(self, specs: tuple[str, ...], device: str) -> None:
         """Start the process of these detectors."""
-        self.specs = specs
         command = cloak_command(self._program, "look", "-", *options(specs, device=device))
-        self._onlooker = Onlooker(command, self._folder)
+        log = self._folder / "look.log"
+        log.unlink(missing_ok=True)
+        self._process = start_process(command, subprocess.DEVNULL, log, stdin=subprocess.PIPE)
+        self.specs, self.seen, self.waiting, self._asked = specs, None, False, ()
 
     @property
     def object(self) -> bpy.types.Object | None:
         return object_of(self._uid)
-
-    @property
-    def waiting(self) -> bool:
-        return self._onlooker.waiting
 
     def tick(self, context: bpy.types.Context) -> None:
         """Take what has been answered and ask what is new. Raises `InputError` when there is nothing to look at."""
@@ -76,18 +128,18 @@ class Eye:
         with suppress(InputError):  # while a name is being typed the last detectors go on
             specs = judges(context.scene.cloak)
         if specs != self.specs:
-            self._onlooker.stop()
-            self.seen, self._asked = None, None
-            self._look_with(specs, context.scene.cloak.device)
-        if failure := self._onlooker.failure():
-            raise InputError(failure)
+            self.close()
+            self._start(specs, context.scene.cloak.device)
+        if (code := self._process.poll()) is not None:
+            said = last_words(self._folder / "look.log")
+            raise InputError(said or f"The detector's process ended (exit code {code})")
         if self.object is None:
             raise InputError("The body that was looked at is gone")
         before = (self.seen, self.message)
         try:
-            seen = self._onlooker.answer()
-            if seen is not None:
-                self.seen, self.viewpoint = seen, self._asked_from
+            if self.waiting and self._answer.exists():
+                self.waiting = False
+                self.seen = read_answer(self._answer, self._asked_from)
             if not self.waiting:
                 self._ask(context, self.object)
                 self.message = ""
@@ -97,23 +149,28 @@ class Eye:
             redraw()
 
     def _ask(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
-        viewpoint = self._looks_from(context, obj).sized(LONGEST)
+        """Ask what the detectors see from here, if anything has changed since the last question."""
+        viewpoint = self._viewpoint(context, obj).sized(LONGEST)
         settings, run = context.scene.cloak, self._run(obj)
         if reason := worn_reason(obj):
             raise InputError(reason)
         self._export(context, obj, run)
-        background = {"background": settings.judging.eye_background}
+        request = {"scene": str(self._folder / "scene"), "out": str(self._folder), **asdict(viewpoint)}
+        request["background"] = settings.judging.eye_background
         if settings.backgrounds:
-            background["backgrounds"] = absolute(settings.backgrounds)
-        worn, stamp = {}, 0
+            request["backgrounds"] = absolute(settings.backgrounds)
+        stamp = 0
         if run is not None and (run / "colors.npy").is_file():
-            worn = {"logo": str(run / "logo.npy"), "colors": str(run / "colors.npy")}
-            worn |= {"cloth": str(run)} if is_cloth(run) else {}
+            request |= {"logo": str(run / "logo.npy"), "colors": str(run / "colors.npy")}
+            request |= {"cloth": str(run)} if is_cloth(run) else {}
             stamp = (run / "colors.npy").stat().st_mtime_ns
-        asked = (viewpoint, self._exported, stamp, tuple(worn.items()), tuple(background.items()))
-        if asked != self._asked:
-            self._onlooker.ask({"scene": str(self._folder / "scene"), **asdict(viewpoint), **worn, **background})
-            self._asked, self._asked_from = asked, viewpoint
+        if (request, self._exported, stamp) == self._asked:
+            return
+        self._answer.unlink(missing_ok=True)
+        with suppress(OSError):  # it has ended: the next tick tells
+            self._process.stdin.write(f"{json.dumps(request)}\n".encode())
+            self._process.stdin.flush()
+        self._asked, self._asked_from, self.waiting = (request, self._exported, stamp), viewpoint, True
 
     def _run(self, obj: bpy.types.Object) -> Path | None:
         """The run that the body wears, where that was trained on these faces; asked anew where either has changed."""
@@ -126,7 +183,7 @@ class Eye:
                     self._fitting = key, run
         return self._fitting[1]
 
-    def _looks_from(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
+    def _viewpoint(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
         if context.scene.cloak.judging.eye_from == "CAMERA":
             return of_camera(context.scene, obj)
         found = [(main_region(area), area.spaces.active.region_3d) for _, area in areas("VIEW_3D")]
@@ -136,48 +193,42 @@ class Eye:
         return of_view(context.scene, region, view, obj)
 
     def _export(self, context: bpy.types.Context, obj: bpy.types.Object, run: Path | None) -> None:
-        """Export the current body if it changed."""
+        """Export the current body if it changed, by a hash of where the evaluated vertices are."""
         if obj.mode == "EDIT":
             raise InputError("Leave Edit Mode (Tab): the detector looks at the body as it then is")
-        worn = tuple(o.name for o in worn_by(obj))
-        about = (str(run), is_cloth(run), worn, tuple(value for row in obj.matrix_world for value in row))
+        worn = worn_by(obj)
+        matrix = tuple(value for row in obj.matrix_world for value in row)
+        about = (str(run), is_cloth(run), tuple(o.name for o in worn), matrix)
         if (session.mesh_changes, *about) == self._shape:
             return
-        digest = shape_digest(context, [obj, *worn_by(obj)])
-        if (digest, *about) != self._exported:
+        graph, points = context.evaluated_depsgraph_get(), []
+        for one in (obj, *worn):
+            with evaluated_mesh(one, graph) as (mesh, to_scene):
+                points += [to_world(vertex_points(mesh), to_scene), np.array(len(mesh.polygons))]
+        shape = (sha256_arrays(*points), *about)
+        if shape != self._exported:
             export_worn(context, obj, run, PoseChoice(), self._folder / "scene")
-            self._exported = (digest, *about)
+            self._exported = shape
         self._shape = (session.mesh_changes, *about)  # exporting may itself have counted as a change
 
     def close(self) -> None:
-        """End the process."""
-        self._onlooker.stop()
-
-
-def shape_digest(context: bpy.types.Context, objects: list[bpy.types.Object]) -> str:
-    """A hash of where the objects' evaluated vertices are."""
-    graph, known = context.evaluated_depsgraph_get(), []
-    for obj in objects:
-        with evaluated_mesh(obj, graph) as (mesh, matrix):
-            known += [to_world(vertex_points(mesh), matrix), np.array(len(mesh.polygons))]
-    return sha256_arrays(*known)
-
-
-def open_eye(eye: Eye) -> None:
-    """Watch with this eye."""
-    session.eye, session.eye_closed_because = eye, ""
-    if not bpy.app.background:
-        bpy.app.timers.register(tick)
+        """Let the process go: it ends when its standard input does; asked twice, in case it is still starting."""
+        with suppress(OSError):
+            self._process.stdin.close()
+        with suppress(OSError):
+            self._process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(0.5)  # else nobody would take note of its end
 
 
 @persistent
-def close_eye(*_: object) -> None:
+def close_eye(*_: object, why: str = "") -> None:
     """Close the open eye."""
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     if session.eye is not None:
         session.eye.close()
-    session.eye = None
+    session.eye, session.eye_closed_because = None, why
 
 
 @between_strokes(TICK_SECONDS)
@@ -190,26 +241,40 @@ def tick() -> float | None:
     except Exception as error:
         if not isinstance(error, InputError):
             LOG.exception("Detector's eye")
-        session.eye.close()
-        session.eye, session.eye_closed_because = None, str(error) or type(error).__name__
+        close_eye(why=str(error) or type(error).__name__)
         redraw()
         return None
     return TICK_SECONDS
 
 
-KINDS = {"clothing": ("Own clothing", (0.84, 0.37, 0.0)), "cloak": ("Cloak", (0.0, 0.55, 0.85))}
-"""What is looked at: its name, and the sRGB colour of its boxes."""
+# --- over the viewport -----------------------------------------------------------------------------------------------
+
 LEFT, BELOW_TOP, LINE = 70, 110, 18  # position of the lines, in pixels
 Rectangle = tuple[float, float, float, float]  # left, bottom, right, top in pixels
 
 
+def draw() -> None:
+    """Viewport callback."""
+    watching, context = session.eye, bpy.context
+    if watching is None or watching.object is None or not context.space_data.overlay.show_overlays:
+        return
+    scale = size_of_words(context)
+    place = place_of_picture(context, watching)
+    if place is not None:
+        _draw_boxes(watching.seen, place, scale)
+    x, y = LEFT * scale, context.region.height - BELOW_TOP * scale
+    for words, color in lines(watching, place is not None):
+        write(words, x, y, color)
+        y -= LINE * scale
+
+
 def place_of_picture(context: bpy.types.Context, watching: Eye) -> Rectangle | None:
     """Return the last picture's rectangle in this viewport; None if the viewport shows something else."""
-    region, view, seen_from = context.region, context.region_data, watching.viewpoint
-    if seen_from is None or view is None:
+    region, view = context.region, context.region_data
+    if watching.seen is None or view is None:
         return None
     with suppress(InputError):
-        if of_view(context.scene, region, view, watching.object).is_like(seen_from):
+        if of_view(context.scene, region, view, watching.object).is_like(watching.seen.viewpoint):
             whole = (0.0, 0.0, float(region.width), float(region.height))
             return camera_frame(context) if view.view_perspective == "CAMERA" else whole
     return None
@@ -223,47 +288,29 @@ def box_in(place: Rectangle, box: tuple[float, ...], seen: Seen) -> Rectangle:
     return left + x1 * across, top - y2 * up, left + x2 * across, top - y1 * up
 
 
-def draw() -> None:
-    """Viewport callback."""
-    watching, context = session.eye, bpy.context
-    if watching is None or watching.object is None or not context.space_data.overlay.show_overlays:
-        return
-    scale = size_of_words(context)
-    place = place_of_picture(context, watching)
-    if place is not None and watching.seen is not None:
-        _draw_boxes(watching.seen, place, scale)
-    x, y = LEFT * scale, context.region.height - BELOW_TOP * scale
-    for words, color in lines(watching, place is not None):
-        write(words, x, y, color)
-        y -= LINE * scale
-
-
 def lines(watching: Eye, fits: bool) -> list[tuple[str, tuple[float, float, float]]]:
     """Return the lines at the upper left and their colours. fits: the viewport shows the last picture."""
     if watching.message:
         return [("Detector's eye", WHITE), (watching.message, KINDS["clothing"][1])]
-    told = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
+    found = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
     for spec, glances in watching.seen.glances.items() if watching.seen is not None and fits else ():
         point = next(iter(glances.values())).operating_point
-        told.append((f"{short(spec)} reports from {point:g}", WHITE))
-        for kind, glance in glances.items():
-            name, color = KINDS[kind]
-            told.append((f"    {name}: {glance.describe()}", color))
-    return told
+        found.append((f"{short(spec)} reports from {point:g}", WHITE))
+        found += [(f"    {KINDS[kind][0]}: {glance.describe()}", KINDS[kind][1]) for kind, glance in glances.items()]
+    return found
 
 
 def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:
     """Draw the reported boxes, those of the cloak with thicker lines."""
-    for glances in seen.glances.values():
-        for kind, glance in glances.items():
-            color, thickness = KINDS[kind][1], (3 if kind == "cloak" else 2) * scale
-            for box in (box for box in glance.boxes if box[4] > glance.operating_point):
-                x1, y1, x2, y2 = box_in(place, box, seen)
-                frame(x1, y1, x2, y2, color, thickness)
-                words = f"{KINDS[kind][0]} {box[4]:.2f}"
-                top = y2 if kind == "cloak" else y1 - 18 * scale  # so that two boxes' words do not meet
-                fill(x1, top, width_of(words) + 8 * scale, 18 * scale, color, 0.85)
-                write(words, x1 + 4 * scale, top + 5 * scale)
+    for kind, glance in [pair for glances in seen.glances.values() for pair in glances.items()]:
+        (name, color), thickness = KINDS[kind], (3 if kind == "cloak" else 2) * scale
+        for box in (box for box in glance.boxes if box[4] > glance.operating_point):
+            x1, y1, x2, y2 = box_in(place, box, seen)
+            frame(x1, y1, x2, y2, color, thickness)
+            words = f"{name} {box[4]:.2f}"
+            top = y2 if kind == "cloak" else y1 - 18 * scale  # so that two boxes' words do not meet
+            fill(x1, top, width_of(words) + 8 * scale, 18 * scale, color, 0.85)
+            write(words, x1 + 4 * scale, top + 5 * scale)
 
 
 HOOKS = Hooks(("load_pre", close_eye), drawing=((draw, "POST_PIXEL"),), closing=close_eye)

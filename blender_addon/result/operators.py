@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of step 5: colours on and off, colour management, report, render check."""
+"""Operators of step 5: colours on and off, colour management, report, and what judges a cloak."""
 
+import functools
+import json
+import math
 import shutil
 from pathlib import Path
 
@@ -14,24 +17,25 @@ from ..body.garments import is_dressed, undress
 from ..body.objects import active_body, body_reason, object_of, of_the_body, refusal
 from ..body.samples import ASSETS, add_people
 from ..exchange.scenes import read_scene
+from ..files.errors import InputError
 from ..files.reading import read_json
-from ..files.writing import written
+from ..files.writing import write_json, written
 from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
 from ..properties import output_folder
 from ..session import session
-from ..trainer.command_lines import SAMPLES, cloak_command
+from ..trainer.command_lines import SAMPLES, cloak_command, options
 from ..trainer.jobs import Job, launch, run_cloak, waits
 from ..trainer.preferences import trainer
 from ..training import run_list, runs
 from ..training.detectors import judges
-from ..training.runs import input_folder, run_of, side_folder
+from ..training.runs import run_of, side_folder
 from ..translations import said
 from ..ui import props
 from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
 from ..ui.window import main_region, redraw
-from . import eye, render_check
-from .evaluations import evaluate_options, kept_back, read_evaluation
+from . import eye, render_check, wear
+from .evaluations import kept_back, read_evaluation
 from .reasons import export_worn, judged_reason, result_reason
 
 
@@ -50,14 +54,6 @@ def report_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return "" if known else f"{run}: not a run folder (no config.json in it), so there is nothing to report"
 
 
-@of_the_body
-def check_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why the cloak cannot be checked in Cycles."""
-    if not is_dressed(obj):
-        return f"'{obj.name}' shows its own materials: switch the cloak on first"
-    return judged_reason(context) or refusal(judges, context.scene.cloak)
-
-
 class CLOAK_OT_result_load(BodyOperator, label="Load Colours", needs=wear_reason):
     """Bring the colours of the run folder onto the model"""
 
@@ -66,15 +62,11 @@ class CLOAK_OT_result_load(BodyOperator, label="Load Colours", needs=wear_reason
         return f"{count:,} faces of '{obj.name}' wear the trained colours"
 
 
-_ready: list[tuple[str, str, str]] = []  # Blender keeps no copy of a menu's words: they must live on
-
-
-def ready_cloaks(_: object, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+@functools.cache  # Blender keeps no copy of a menu's words: they must live on
+def ready_cloaks() -> list[tuple[str, str, str]]:
     """The cloaks that come with the extension: name, title, and what they are."""
-    if not _ready:
-        for path in sorted(ASSETS.glob("*/zoo.json")):
-            _ready.append((path.parent.name, path.parent.name, str(read_json(path).get("about", ""))))
-    return _ready
+    paths = sorted(ASSETS.glob("*/zoo.json"))
+    return [(path.parent.name, path.parent.name, str(read_json(path).get("about", ""))) for path in paths]
 
 
 class CLOAK_OT_ready_cloak(CloakOperator, label="Ready Cloak"):
@@ -83,7 +75,7 @@ run is copied to the output folder"""
 
     bl_options = WITH_UNDO
 
-    cloak: EnumProperty(name="Ready Cloak", description="Which one to wear", items=ready_cloaks)
+    cloak: EnumProperty(name="Ready Cloak", description="Which one to wear", items=lambda _, context: ready_cloaks())
 
     def run(self, context: bpy.types.Context) -> str:
         source = ASSETS / self.cloak
@@ -154,13 +146,25 @@ def _open(report: Path) -> str:
     return f"Opened {report}"
 
 
+# --- what judges a cloak ---------------------------------------------------------------------------------------------
+
+
+@of_the_body
+def check_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the cloak cannot be checked in Cycles."""
+    if not is_dressed(obj):
+        return f"'{obj.name}' shows its own materials: switch the cloak on first"
+    return judged_reason(context) or refusal(judges, context.scene.cloak)
+
+
 class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason, trains=True):
     """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
 
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak
-        run = run_of(obj)
-        folder = render_check.new_folder_in(runs.side_folder(run))
+        folder = first_free(side_folder(run_of(obj)), render_check.NAME)
+        with written(folder):
+            folder.mkdir(parents=True)
         specs, program = judges(settings), trainer()
         angles = tuple(range(settings.angle_first, settings.angle_last + 1, settings.angle_step))
         plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
@@ -183,6 +187,10 @@ def _judge(job: Job, plan: render_check.Plan, specs: tuple[str, ...], uid: int) 
     return render_check.describe_all(found)
 
 
+AROUND = 180  # an evaluation all around goes this many degrees to either side
+BARE = 256  # most empty backgrounds that are checked for false alarms
+
+
 def evaluate_reason(context: bpy.types.Context) -> str:
     """Why the body's run cannot be evaluated."""
     judging = context.scene.cloak.judging
@@ -198,14 +206,20 @@ beside controls on the same images. The result is shown here and as a ring aroun
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak
         run, judging = run_of(obj), settings.judging
-        words = ["evaluate", run, *evaluate_options(judging, judges(settings), settings.device)]
+        azimuths = len(range(-AROUND, AROUND, judging.angle))
+        angles = f"{-AROUND}:{-AROUND + (azimuths - 1) * judging.angle}:{judging.angle}"
+        bare, device = min(BARE, judging.images), settings.device
+        words = ["evaluate", run, *options(judges(settings), angles=angles, bare=bare, device=device)]
+        # One pose must do for all the images; of more poses some are drawn.
+        words += [f"--images-per-view={math.ceil(judging.images / azimuths)}", f"--most-images={judging.images}"]
+        words.append(judging.backgrounds_option)
         folder = side_folder(run)
         if judging.frames:
             scene = folder / "evaluation scene"
             export_worn(context, obj, run, judging.frames, scene)
             words.append(f"--scene={scene}")
-        elif not kept_back(run) and (input_folder(run) / "scene").is_dir():
-            words.append(f"--scene={input_folder(run) / 'scene'}")
+        elif not kept_back(run) and runs.exported_scene(run):
+            words.append(f"--scene={runs.exported_scene(run)}")
         ended = lambda job: _evaluated(job, run)
         return f"Evaluating {run.name}" + run_cloak("Evaluation", words, folder, "evaluate", ended, True)
 
@@ -236,8 +250,37 @@ It goes on looking as you move, and while a training runs, until this is pressed
             return "The detector looks no more"
         folder = Path(bpy.app.tempdir, "cloak eye")
         folder.mkdir(parents=True, exist_ok=True)
-        opened = eye.Eye(active_body(context), context.scene.cloak, folder)
-        if context.area is not None and context.area.type == "VIEW_3D":
-            opened.region = main_region(context.area).as_pointer()
-        eye.open_eye(opened)
-        return f"{', '.join(opened.specs)}: getting ready to look"
+        in_viewport = context.area is not None and context.area.type == "VIEW_3D"
+        region = main_region(context.area).as_pointer() if in_viewport else 0
+        session.eye, session.eye_closed_because = eye.Eye(active_body(context), context.scene.cloak, folder, region), ""
+        if not bpy.app.background:
+            bpy.app.timers.register(eye.tick)
+        return f"{', '.join(session.eye.specs)}: getting ready to look"
+
+
+class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
+    """Lay the run's colours onto the people of photographs, and let the detectors judge them before and after"""
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        settings = context.scene.cloak
+        reason = result_reason(context) or refusal(wear.people_file, settings.judging.people)
+        return reason or refusal(judges, settings) or wear.foreign_reason(active_body(context))
+
+    def run(self, context: bpy.types.Context) -> str:
+        settings, run = context.scene.cloak, run_of(active_body(context))
+        people, place = wear.people_file(settings.judging.people), first_free(side_folder(run), wear.WEAR)
+        words = ["wear", run, *options(judges(settings), people=people, device=settings.device), "--out", place]
+
+        def ended(job: Job) -> str:
+            try:
+                record = json.loads(job.outputs[-1])
+                count = int(record["people"])
+            except (ValueError, KeyError, TypeError):
+                raise InputError("Wear: the trainer's answer is not understood; see wear.log") from None
+            place.mkdir(exist_ok=True)
+            write_json(place / wear.ANSWER, record)
+            return f"{count} people wear it"
+
+        waiting = run_cloak("Wear", words, side_folder(run), "wear", ended)
+        return f"{run.name} is put on by the people of {people.name}{waiting}"

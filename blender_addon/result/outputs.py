@@ -23,7 +23,6 @@ from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
 from . import bake
-from .evaluations import backgrounds_option
 from .reasons import export_worn, judged_reason
 from .viewpoints import of_camera
 
@@ -133,7 +132,7 @@ def film(context: bpy.types.Context, label: str, name: str, options: list[str], 
     # Those of the scene, as for an evaluation: the user has named them here, in a run folder anybody may have.
     specs = judges(settings) if settings.detectors else ()
     options += [f"--detector={spec}" for spec in specs]
-    words = ["film", run, "--scene", scene, *options, backgrounds_option(settings.judging), "--out", place]
+    words = ["film", run, "--scene", scene, *options, settings.judging.backgrounds_option, "--out", place]
     return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: f"Wrote {place.name}", True)
 
 
@@ -149,7 +148,7 @@ or one with too little room, Cloak makes one of its own"""
         return "" if layer_name(obj.data, COLORS) else "Train, or load colours, first"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        done = bake.bake(obj, self.size, self.show)
+        done = bake.bake(obj, self.size)
         material = bake.baked_material(done.image, done.uv_map)
         faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
         made = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"

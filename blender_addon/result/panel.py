@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panel of step 5: the trained colours on the model."""
+"""Panels of step 5: the trained colours on the model, and what they are worth."""
+
+from collections.abc import Iterable
+from pathlib import Path
 
 import bpy
 
@@ -14,16 +17,16 @@ from ..translations import said
 from ..ui.drawing import icon_of, short
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import eye
-from .evaluations import CONTROLS, Evaluation, Judged
+from .evaluations import CONTROLS, THRESHOLD, Judged
 from .operators import ready_cloaks
 from .outputs import made
 from .reasons import result_reason
 from .render_check import Verdict
+from .wear import last_worn
 
-PICTURES_A_ROW = 3
 RENDERS = ("With the cloak", "Without")
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
-LATEST = 4  # most outputs to list
+LATEST, SHOWN = 4, 6  # most outputs to list, most people in photographs to show
 SUCCESS = (
     "Share of the images in which the detector reports no person (from this score on), and the interval that holds the "
     "true share in 95 of 100 such measurements"
@@ -36,12 +39,50 @@ CONTROL = {
 }
 
 
+Line = tuple[str, str]  # a text and its icon
+
+
+def show_pictures(
+    layout: bpy.types.UILayout, columns: int, scale: float, pictures: Iterable[tuple[Path, list[Line], str]]
+) -> None:
+    """Draw pictures in rows, each with the lines below it and the tooltip that explains these; "" for none."""
+    grid = layout.grid_flow(row_major=True, columns=columns, even_columns=True)
+    for path, lines, tip in pictures:
+        cell = grid.column(align=True)
+        cell.template_icon(icon_of(path), scale=scale)
+        for text, icon in lines:
+            if tip:
+                figure(cell, text, tip, icon)
+            else:
+                cell.label(text=said(text), icon=icon)
+
+
+def show_rates(layout: bpy.types.UILayout, judged: Judged, threshold: float) -> None:
+    """Draw a detector's rates: at the common threshold, and at its own below that; side by side they are clipped."""
+    layout.label(text=short(without_folders(judged.spec), 36), icon="HIDE_OFF")
+    heads = [f"at {threshold:g}"]
+    if judged.operating_point is not None and judged.operating_point != threshold:
+        heads.append(f"at its own {judged.operating_point:g}")
+    for index, head in enumerate(heads):
+        table = layout.column(align=True)
+        figure(table, head, SUCCESS, "NONE")
+        for name, rates in judged.rates.items():
+            split = table.split(factor=0.45)
+            figure(split.column(), CONTROLS.get(name, short(name, 24)), CONTROL.get(name, CONTROL["logo"]), "NONE")
+            split.label(text=rates[index].describe())
+
+
+def show_icon(seen: bool) -> str:
+    """The icon that says whether somebody is seen."""
+    return "HIDE_OFF" if seen else "HIDE_ON"
+
+
 class CLOAK_PT_result(CloakPanel, label="5. Result"):
     """Step 5: the trained colours on the model"""
 
     def draw(self, context: bpy.types.Context) -> None:
         reason = result_reason(context)
-        if ready_cloaks(None, context):
+        if ready_cloaks():
             self.layout.operator_menu_enum("cloak.ready_cloak", "cloak", text="Ready Cloaks", icon="MATCLOTH")
         row = self.layout.row(align=True)
         row.operator("cloak.cloth_picture", icon="TEXTURE")
@@ -72,16 +113,12 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
         for check in checks if len(checks) > 1 or told is None or told.message != checks[0].describe() else ():
             words = f"{short(check.spec, 30)}: {said(check.describe())}" if len(checks) > 1 else check.describe()
             wrapped(self.layout, context, words, icon="CHECKMARK" if check.holds else "ERROR")
-        half = len(checks[0].with_cloak)
-        for name, chosen in zip(RENDERS, (slice(half), slice(half, None)), strict=True):
+        of_each = [[(f"{s:.2f}", show_icon(s > check.threshold)) for s in check.scores] for check in checks]
+        pictures = [(path, lines, SCORE) for path, *lines in zip(checks[0].images, *of_each, strict=False)]
+        half = len(checks[0].scores) // 2
+        for name, shown in zip(RENDERS, (pictures[:half], pictures[half:]), strict=True):
             self.layout.label(text=name, icon="RENDER_RESULT")
-            grid = self.layout.grid_flow(row_major=True, columns=PICTURES_A_ROW, even_columns=True)
-            for number, path in list(enumerate(checks[0].images))[chosen]:
-                cell = grid.column(align=True)
-                cell.template_icon(icon_of(path), scale=4.0)
-                for check in checks:
-                    score = check.scores[number]
-                    figure(cell, f"{score:.2f}", SCORE, "HIDE_OFF" if score > check.threshold else "HIDE_ON")
+            show_pictures(self.layout, 3, 4.0, shown)
 
 
 class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", trains=True):
@@ -97,32 +134,17 @@ class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", train
         self.layout.operator("cloak.evaluate", icon="VIEWZOOM")
         self.outcome(context, "Evaluation")
         state = run_list.selected(context)
-        if state is not None and state.evaluation is not None:
-            self._result(context, state.evaluation)
-
-    def _result(self, context: bpy.types.Context, found: Evaluation) -> None:
+        found = state.evaluation if state is not None else None
+        if found is None:
+            return
         if found.outdated:
             wrapped(self.layout, context, "The run has newer colours: evaluate again", icon="ERROR")
         job = session.job_of("Evaluation")
         if job is None or found.describe() not in job.message:  # which stands above
             wrapped(self.layout, context, found.describe().capitalize(), icon="INFO")
         for judged in found.detectors:
-            self._table(judged, found.threshold)
-        self.layout.prop(context.scene.cloak.judging, "ring", text="Ring around the Body")
-
-    def _table(self, judged: Judged, threshold: float) -> None:
-        """At the common threshold, and at the detector's own below that: side by side the figures would be clipped."""
-        self.layout.label(text=short(without_folders(judged.spec), 36), icon="HIDE_OFF")
-        heads = [f"at {threshold:g}"]
-        if judged.operating_point is not None and judged.operating_point != threshold:
-            heads.append(f"at its own {judged.operating_point:g}")
-        for index, head in enumerate(heads):
-            table = self.layout.column(align=True)
-            figure(table, head, SUCCESS, "NONE")
-            for name, rates in judged.rates.items():
-                split = table.split(factor=0.45)
-                figure(split.column(), CONTROLS[name], CONTROL[name], "NONE")
-                split.label(text=rates[index].describe())
+            show_rates(self.layout, judged, found.threshold)
+        self.layout.prop(judging, "ring", text="Ring around the Body")
 
 
 class CLOAK_PT_take_along(CloakPanel, label="Print, Film, Image", inside="result"):
@@ -164,16 +186,27 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True, trains=True)
         elif watching.seen is None:
             wrapped(self.layout, context, "The detector is getting ready...", icon="INFO")
         if watching.seen is not None:
-            self._pictures(watching)
+            pictures = []
+            for kind, path in watching.seen.pictures.items():
+                glances = [seen[kind] for seen in watching.seen.glances.values() if kind in seen]
+                lines = [(glance.describe(), show_icon(glance.found)) for glance in glances]
+                pictures.append((path, [(eye.KINDS[kind][0], "NONE"), *lines], ""))
+            show_pictures(self.layout, len(pictures), 6.0, pictures)
 
-    def _pictures(self, watching: eye.Eye) -> None:
-        """Draw the pictures that the detectors saw, with their answers."""
-        row = self.layout.row()
-        for kind, path in watching.seen.pictures.items():
-            cell = row.column(align=True)
-            cell.template_icon(icon_of(path), scale=6.0)
-            cell.label(text=eye.KINDS[kind][0])
-            for glances in watching.seen.glances.values():
-                if kind in glances:
-                    icon = "HIDE_OFF" if glances[kind].found else "HIDE_ON"
-                    cell.label(text=said(glances[kind].describe()), icon=icon)
+
+class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=True):
+    """The cloak on people in photographs"""
+
+    def draw(self, context: bpy.types.Context) -> None:
+        settings_column(self.layout, context.scene.cloak.judging, "people")
+        self.layout.operator("cloak.wear", icon="COMMUNITY")
+        self.outcome(context, "Wear")
+        worn = None if result_reason(context) else last_worn(run_of(active_body(context)))
+        if worn is None:
+            return
+        wrapped(self.layout, context, f"{worn.people} people, {worn.left_out} left out; nobody is reported in:")
+        for judged in worn.detectors:
+            show_rates(self.layout, judged, THRESHOLD)
+        pictures = [(path, [(short(path.stem, 24), "NONE")], "") for path in worn.pictures[:SHOWN]]
+        show_pictures(self.layout, 2, 7.0, pictures)
+        self.layout.operator("cloak.show_made", text="All Pictures", icon="FILE_FOLDER").path = str(worn.folder)

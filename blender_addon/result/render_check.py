@@ -6,7 +6,6 @@ are those of training: distance 2.2 m, elevation 6 degrees, vertical field of vi
 0.5 and one light of 0.3 from in front and above.
 """
 
-import itertools
 import json
 import math
 import sys
@@ -24,17 +23,16 @@ from ..body.garments import undress, worn_by
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.specs import without_folders
-from ..files.writing import write_json, written
+from ..files.writing import write_json
 from ..poses.poses import held
+from .evaluations import THRESHOLD, UNREADABLE
 
-THRESHOLD = 0.6  # of checks of version 1.0 that do not say theirs
 DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
 LIGHT_POSITION = (0.0, -100.0, 85.0)
 AMBIENT, DIFFUSE = 0.5, 0.3
 SAMPLES = 32
 IMAGES = (".jpg", ".jpeg", ".png", ".webp")
-BLEND, PLAN, VERDICT = "check.blend", "plan.json", "verdict.json"
-
+NAME, BLEND, PLAN, VERDICT = "render check", "check.blend", "plan.json", "verdict.json"
 
 _RENDER = """
 import bpy, importlib, os, sys, traceback
@@ -59,14 +57,6 @@ class Plan:
     angles: tuple[int, ...]
     backgrounds: str = ""
     samples: int = SAMPLES  # of a pixel
-
-
-def new_folder_in(parent: Path) -> Path:
-    """A folder `render check N` that did not exist."""
-    folder = next(f for f in (parent / f"render check {n}" for n in itertools.count(1)) if not f.exists())
-    with written(folder):
-        folder.mkdir(parents=True)
-    return folder
 
 
 def image_paths(plan: Plan) -> list[Path]:
@@ -97,13 +87,17 @@ def run_plan(file: str) -> None:
     photographs = [path for path in files if path.suffix.lower() in IMAGES]
     for worn in (obj, *worn_by(obj)):
         colors.set_look(worn, colors.LOOKDEV)  # light falls on it here
-    paths = image_paths(plan)
-    for worn, batch in ((True, paths[: len(plan.angles)]), (False, paths[len(plan.angles) :])):
-        if not worn:
+    for number, (angle, path) in enumerate(zip(plan.angles * 2, image_paths(plan), strict=True)):
+        if number == len(plan.angles):
             undress(obj)
-        for number, (angle, image) in enumerate(zip(plan.angles, batch, strict=True)):
-            render_view(obj, image, angle, samples=plan.samples)
-            _composite(image, photographs[number % len(photographs)] if photographs else None)
+        render_view(obj, path, angle, samples=plan.samples)
+        # In front of a photograph, or of mid-grey; in display colours, as training does.
+        body, behind = read_picture(path), colors.GREY
+        if photographs:
+            photograph = photographs[number % len(plan.angles) % len(photographs)]
+            behind = read_picture(photograph, cover=body.shape[1::-1])[..., :3]
+        alpha = body[..., 3:]
+        save_picture(path, body[..., :3] * alpha + behind * (1 - alpha))
 
 
 @dataclass(frozen=True)
@@ -117,25 +111,20 @@ class Verdict:
     threshold: float  # the detector reports a person above this score: its own operating point
 
     @property
-    def with_cloak(self) -> tuple[float, ...]:
-        return self.scores[: len(self.scores) // 2]
-
-    @property
-    def without(self) -> tuple[float, ...]:
-        return self.scores[len(self.scores) // 2 :]
+    def found(self) -> tuple[int, int]:
+        """In how many renders it reports a person: of those with the cloak, and of those without."""
+        reported, half = [score > self.threshold for score in self.scores], len(self.scores) // 2
+        return sum(reported[:half]), sum(reported[half:])
 
     @property
     def holds(self) -> bool:
         """Whether the cloak hides the body in every render, and the detector would have found it otherwise."""
-        return not self.found(self.with_cloak) and bool(self.found(self.without))
-
-    def found(self, scores: tuple[float, ...]) -> int:
-        """In how many renders it reports a person."""
-        return sum(score > self.threshold for score in scores)
+        found, control = self.found
+        return control > 0 and not found
 
     def describe(self) -> str:
         """In one line, the outcome first."""
-        count, found, control = len(self.with_cloak), self.found(self.with_cloak), self.found(self.without)
+        count, (found, control) = len(self.scores) // 2, self.found
         if not control:
             outcome = "This says nothing: the detector does not find the body without the cloak either"
         elif not found:
@@ -144,7 +133,7 @@ class Verdict:
             outcome = "The cloak failed" if found == count else f"The cloak holds in {count - found} of {count} renders"
         return (
             f"{outcome}. Cycles: person detected in {found} of {count} renders with the cloak "
-            f"(highest score {max(self.with_cloak):.2f}, reported from {self.threshold:g}), in {control} without"
+            f"(highest score {max(self.scores[:count]):.2f}, reported from {self.threshold:g}), in {control} without"
         )
 
 
@@ -165,21 +154,22 @@ def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> list[Verdi
 
 def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
     """Read the verdicts of the latest render check in a folder; empty if there is none."""
-    files = sorted(parent.glob(f"render check */{VERDICT}"), key=lambda path: path.stat().st_mtime)
+    files = sorted(parent.glob(f"{NAME}*/{VERDICT}"), key=lambda path: path.stat().st_mtime)
     try:
-        record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
+        record = read_json(files[-1])
         images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
-        scored = lambda one: (tuple(map(float, one["scores"])), float(one.get("threshold", THRESHOLD)))
-        told = [(spec, *scored(one)) for spec, one in record["detectors"].items()]
-        found = [Verdict(scores, images, spec, threshold) for spec, scores, threshold in told]
-    except (InputError, KeyError, TypeError, ValueError, AttributeError):
+        found = []
+        for spec, answer in record["detectors"].items():
+            threshold = float(answer.get("threshold", THRESHOLD))
+            found.append(Verdict(tuple(map(float, answer["scores"])), images, spec, threshold))
+    except UNREADABLE:
         return ()
-    return tuple(verdict for verdict in found if verdict.with_cloak)
+    return tuple(verdict for verdict in found if len(verdict.scores) > 1)
 
 
 def describe_all(found: Sequence[Verdict]) -> str:
     """One line for several detectors: of the one that finds most, and in how many the cloak holds."""
-    worst = max(found, key=lambda verdict: (verdict.found(verdict.with_cloak), -verdict.found(verdict.without)))
+    worst = max(found, key=lambda verdict: (verdict.found[0], -verdict.found[1]))
     if len(found) == 1:
         return worst.describe()
     holding = sum(verdict.holds for verdict in found)
@@ -198,7 +188,13 @@ def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = S
         for thing in (obj, *worn_by(obj), *holders):
             scene.collection.objects.link(thing)
         set_up(scene, size, samples)
-        _light(scene, holders[1], world)
+        # A uniform surround of radiance 0.5, and a sun whose irradiance makes a white diffuse face reflect 0.3.
+        background = next(n for n in colors.nodes_of(world)[0] if n.type == "BACKGROUND")
+        background.inputs["Color"].default_value = (1, 1, 1, 1)
+        background.inputs["Strength"].default_value = AMBIENT
+        scene.world = world
+        sun.energy = DIFFUSE * math.pi
+        holders[1].rotation_euler = Vector(LIGHT_POSITION).to_track_quat("Z", "Y").to_euler()
         scene.frame_set(bpy.context.scene.frame_current)
         metre = 1 / bpy.context.scene.unit_settings.scale_length
         with evaluated_mesh(obj, scene.view_layers[0].depsgraph) as (mesh, matrix):
@@ -228,16 +224,6 @@ def set_up(scene: bpy.types.Scene, size: int, samples: int) -> None:
     colors.use_standard_view(scene)
 
 
-def _light(scene: bpy.types.Scene, sun: bpy.types.Object, world: bpy.types.World) -> None:
-    """A uniform surround of radiance 0.5 and a sun whose irradiance makes a white diffuse face reflect 0.3."""
-    background = next(n for n in colors.nodes_of(world)[0] if n.type == "BACKGROUND")
-    background.inputs["Color"].default_value = (1, 1, 1, 1)
-    background.inputs["Strength"].default_value = AMBIENT
-    scene.world = world
-    sun.data.energy = DIFFUSE * math.pi
-    sun.rotation_euler = Vector(LIGHT_POSITION).to_track_quat("Z", "Y").to_euler()
-
-
 def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimuth: float, distance: float) -> None:
     elevation, turn = math.radians(ELEVATION), math.radians(azimuth)
     away = Vector((math.cos(elevation) * math.sin(turn), -math.cos(elevation) * math.cos(turn), math.sin(elevation)))
@@ -247,11 +233,3 @@ def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimut
     camera.data.angle = math.radians(FIELD_OF_VIEW)
     camera.data.clip_start, camera.data.clip_end = distance / 100, distance * 100
     scene.camera = camera
-
-
-def _composite(path: Path, photograph: Path | None) -> None:
-    """Put the body in `path` (RGBA) in front of a photograph, or of mid-grey; in display colours, as training does."""
-    body = read_picture(path)
-    behind = read_picture(photograph, cover=body.shape[1::-1])[..., :3] if photograph else colors.GREY
-    alpha = body[..., 3:]
-    save_picture(path, body[..., :3] * alpha + behind * (1 - alpha))

@@ -8,7 +8,6 @@ stand where their cameras stood, so the ring is read by walking around the body.
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -35,19 +34,8 @@ NAMES = {0.0: "front", 90.0: "left", 180.0: "back", -90.0: "right"}
 WIDEST = 30.0  # degrees: one azimuth alone says nothing of what is farther away from it than half of this
 
 
-@dataclass(frozen=True)
-class Arc:
-    """A piece of the ring, degrees."""
-
-    first: float
-    last: float
-    sector: Sector
-
-
-def arcs(sectors: Sequence[Sector]) -> list[Arc]:
-    """Split the circle at half the distance between azimuths, at most `WIDEST` wide."""
-    if not sectors:
-        return []
+def arcs(sectors: Sequence[Sector]) -> list[tuple[float, float, Sector]]:
+    """Split the circle at half the distance between azimuths, at most `WIDEST` wide: first and last degree of each."""
     once = {sector.azimuth % 360: sector for sector in sectors}
     azimuths = sorted(once)
     found = []
@@ -56,7 +44,7 @@ def arcs(sectors: Sequence[Sector]) -> list[Arc]:
         # An azimuth at an end of what was evaluated reaches as far outwards as inwards.
         nearest = min(before, after, WIDEST)
         low, high = (gap if gap <= WIDEST else nearest for gap in (before, after))
-        found.append(Arc(azimuth - low / 2, azimuth + high / 2, once[azimuth]))
+        found.append((azimuth - low / 2, azimuth + high / 2, once[azimuth]))
     return found
 
 
@@ -83,11 +71,11 @@ def band_triangles(first: float, last: float, inner: float, outer: float) -> np.
 def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
     """Corners [3 n, 2] around the origin, in shares of the body's extent, and their colours [3 n, 4] sRGB."""
     places, paints = [np.zeros((0, 2))], [np.zeros((0, 4))]
-    for arc in arcs(sectors):
-        gap = min(0.5, 0.05 * (arc.last - arc.first))
-        bands = ((MIDDLE, OUTER, arc.sector.cloak), (INNER, MIDDLE - 0.02, arc.sector.clothing))
+    for first, last, sector in arcs(sectors):
+        gap = min(0.5, 0.05 * (last - first))
+        bands = ((MIDDLE, OUTER, sector.cloak), (INNER, MIDDLE - 0.02, sector.clothing))
         for inner, outer, success in (band for band in bands if band[2] is not None):
-            places.append(band_triangles(arc.first + gap, arc.last - gap, inner, outer).reshape(-1, 2))
+            places.append(band_triangles(first + gap, last - gap, inner, outer).reshape(-1, 2))
             paints.append(np.tile((*color_of(success), OPAQUE), (len(places[-1]), 1)))
     return np.concatenate(places), np.concatenate(paints)
 
@@ -142,11 +130,7 @@ def draw_words() -> None:
         at = location_3d_to_region_2d(context.region, context.region_data, place + Vector((x, y, 0)))
         if sector is not None and at is not None:
             write(f"{NAMES[azimuth]} {sector.cloak:.0%}", at.x, at.y, centered=True)
-    _legend(evaluation, scale)
-
-
-def _legend(evaluation: Evaluation, scale: float) -> None:
-    """At the lower left: what the colours mean."""
+    # At the lower left: what the colours mean.
     x, y, step = 20 * scale, 20 * scale, 16 * scale
     write("found", x, y)
     start = x + width_of("found") + 6 * scale

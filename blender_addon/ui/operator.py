@@ -77,18 +77,17 @@ class CloakOperator(bpy.types.Operator):
 class BodyOperator(CloakOperator):
     """Base of operators that change the active body: `change(context, obj)` does the work and returns what to say.
 
-    What may take longer calls `self.show(fraction)`, 0 to 1: the mouse pointer counts up.
+    What may take longer calls `show_progress`: the mouse pointer counts up.
     """
 
     bl_options = WITH_UNDO
-    show = staticmethod(lambda fraction: None)
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
         return body_reason(context)
 
     def run(self, context: bpy.types.Context) -> str:
-        with progress_cursor(context) as self.show:
+        with progress_cursor():
             return self.change(context, active_body(context))
 
 

@@ -130,11 +130,15 @@ def show_image(image: bpy.types.Image) -> None:
 
 
 @contextmanager
-def progress_cursor(context: bpy.types.Context) -> Iterator[Callable[[float], None]]:
-    """Yields `show(fraction)`, 0 to 1, which the pointer shows in percent until the block ends."""
-    manager = context.window_manager
-    manager.progress_begin(0, 100)
+def progress_cursor() -> Iterator[None]:
+    """Let the mouse pointer show in percent what `show_progress` is told in the block."""
+    bpy.context.window_manager.progress_begin(0, 100)
     try:
-        yield lambda fraction: manager.progress_update(round(100 * fraction))
+        yield
     finally:
-        manager.progress_end()
+        bpy.context.window_manager.progress_end()
+
+
+def show_progress(fraction: float) -> None:
+    """Say how far a long action is, 0 to 1; outside of a `progress_cursor` nobody sees it."""
+    bpy.context.window_manager.progress_update(round(100 * fraction))

@@ -57,9 +57,9 @@ def eye(obj):
     while session.eye.seen is None:
         yield 0.2
         assert session.eye is not None, session.eye_closed_because
-    first = session.eye.viewpoint
+    first = session.eye.seen.viewpoint
     yield from look_from(0.25, 0.1)
-    while session.eye.viewpoint == first or session.eye.waiting:  # it looks again
+    while session.eye.seen.viewpoint == first or session.eye.waiting:  # it looks again
         yield 0.2
         assert session.eye is not None, session.eye_closed_because
     assert "cloak" in next(iter(session.eye.seen.glances.values()))

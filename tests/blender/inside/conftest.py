@@ -203,3 +203,31 @@ def clothed(tmp_path):
     obj.cloak.run = str(cloth_run(tmp_path, obj, ids, squares))
     bpy.ops.cloak.result_load()
     return obj, ids, squares
+
+
+class Layout:
+    """What a panel draws on, without a window: notes every text, icon and operator."""
+
+    def __init__(self, said: list[str]) -> None:
+        self.__dict__.update(said=said)
+
+    def __getattr__(self, name: str):
+        return self._note
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Looks, and the properties of the last button."""
+
+    def _note(self, *words: object, text: str = "", **options: object) -> "Layout":
+        self.said.append(text or next((word for word in words if isinstance(word, str)), ""))
+        return Layout(self.said)
+
+
+def drawn(panel: type) -> list[str]:
+    """What a panel draws now."""
+    parts = {
+        name: part for kind in reversed(panel.__mro__[:2]) for name, part in vars(kind).items() if name[:2] != "__"
+    }
+    said: list[str] = []
+    plain = type("Drawn", (), parts | {"layout": Layout(said), "unfinished": panel.unfinished})
+    plain().draw(bpy.context)
+    return said

@@ -11,7 +11,7 @@ from cloak.properties import train_options
 from cloak.result import eye
 from cloak.session import session
 from cloak.training import detectors, operators, panel
-from conftest import folder_of, run_job, wait_for
+from conftest import drawn, folder_of, run_job, wait_for
 from made import add_camera
 from test_eye import watch
 
@@ -28,6 +28,11 @@ def add(*paths: str) -> None:
     """Through the browser's operator, as a click on its button does."""
     folder = os.path.dirname(paths[0])
     bpy.ops.cloak.detector_add(directory=folder, files=[{"name": os.path.basename(path)} for path in paths])
+
+
+def said() -> str:
+    """What the panel says of the chosen detector."""
+    return " ".join(drawn(panel.CLOAK_PT_train))
 
 
 def test_every_family_is_known_by_its_suffix(ready, files):
@@ -135,27 +140,10 @@ def test_what_gives_no_gradients_only_judges_and_the_panel_says_why(ready, files
     run_job()
     assert net.works and net.only_judges and not net.judges
     settings.detector_index = 2
-    assert panel.BLACK_BOX in said_by(panel.CLOAK_PT_train)
+    assert panel.BLACK_BOX in said()
     net.options = "640"
     assert not net.only_judges, "another size is another detector"
-    assert panel.BLACK_BOX not in said_by(panel.CLOAK_PT_train)
-
-
-def said_by(kind: type) -> str:
-    """What the list's panel writes about the chosen detector."""
-    said = []
-
-    class Layout:
-        def __getattr__(self, name):
-            return self._note
-
-        def _note(self, *words, text="", **options):
-            said.append(text)
-            return Layout()
-
-    drawn = type("Drawn", (), {"layout": Layout(), "progress": lambda *_: None})()
-    kind._detectors(drawn, bpy.context, bpy.context.scene.cloak)
-    return " ".join(said)
+    assert panel.BLACK_BOX not in said()
 
 
 def test_every_button_uses_the_list(dressed, files):
@@ -201,7 +189,7 @@ def test_a_file_of_version_0_1_asks_for_its_detector(ready, files, tmp_path):
     settings = bpy.context.scene.cloak
     asks = "This file of version 0.1 names a detector of its own: add it, or the built-in one"
     assert operators.train_reason(bpy.context) == asks
-    assert "Built-in" not in said_by(panel.CLOAK_PT_train)
+    assert "Built-in" not in said()
     for operator in (bpy.ops.cloak.train_start, bpy.ops.cloak.eye):
         with pytest.raises(RuntimeError, match=asks):
             operator()

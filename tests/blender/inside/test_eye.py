@@ -12,7 +12,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from cloak.files.errors import InputError
 from cloak.result import eye, viewpoints
 from cloak.session import session
-from cloak.trainer import jobs, onlooker
+from cloak.trainer import jobs
 from conftest import folder_of, run_job
 from made import add_camera, set_mode
 from mathutils import Matrix, Vector
@@ -174,11 +174,11 @@ def test_the_eye_says_what_stands_in_its_way_and_goes_on(dressed, open_eye):
 
 
 def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye):
-    process = open_eye._onlooker._process
+    process = open_eye._process
     bpy.ops.cloak.eye()
     assert session.eye is None and process.poll() is not None
     bpy.ops.cloak.eye()
-    process = session.eye._onlooker._process
+    process = session.eye._process
     process.kill()
     process.wait()
     assert eye.tick() is None and session.eye is None and "exit code -9" in session.eye_closed_because
@@ -188,16 +188,10 @@ def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye
     assert eye.tick() is None and "is gone" in session.eye_closed_because
 
 
-def test_an_answer_that_is_an_error_is_told(tmp_path, stub):
-    looks = onlooker.Onlooker([str(stub), "-c", "input()"], tmp_path)
-    looks.ask({"scene": "x"})
-    assert looks.answer() is None
-    (tmp_path / "look.json").write_text('{"error": "no such scene"}')
-    with pytest.raises(InputError, match="no such scene"):
-        looks.answer()
-    assert not looks.waiting
-    looks.ask({})
-    (tmp_path / "look.json").write_text('{"detectors": {}}')
-    with pytest.raises(InputError, match="not the answer"):
-        looks.answer()
-    looks.stop()
+@pytest.mark.parametrize(
+    ("text", "words"), [('{"error": "no such scene"}', "no such scene"), ('{"detectors": {}}', "not the answer")]
+)
+def test_an_answer_that_is_an_error_is_told(tmp_path, text, words):
+    (tmp_path / "look.json").write_text(text)
+    with pytest.raises(InputError, match=words):
+        eye.read_answer(tmp_path / "look.json")

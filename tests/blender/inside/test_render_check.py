@@ -85,7 +85,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
     assert (
         "detected in 0 of 2 renders with the cloak (highest score 0.10, reported from 0.5), in 2 without" in job.message
     )
-    folder = runs.side_folder(folder_of(obj)) / "render check 1"
+    folder = runs.side_folder(folder_of(obj)) / "render check"
     with_cloak, without = pixels_of(folder / "cloak +10.png"), pixels_of(folder / "own +10.png")
     assert with_cloak.shape == (416, 416, 4) and (with_cloak[..., 3] == 1).all()
     assert np.allclose(with_cloak[0, 0], [0, 0, 1, 1], atol=2 / 255)  # the photograph behind
@@ -114,7 +114,7 @@ def answer(score: float, point: float = 0.5) -> str:
     ],
 )
 def test_a_cloak_that_failed_is_said_to_have_failed(tmp_path, scores, holds, words):
-    plan = render_check.Plan("Body", tmp_path / "render check 1", (0, 5))
+    plan = render_check.Plan("Body", tmp_path / "render check", (0, 5))
     plan.folder.mkdir()
     (verdict,) = render_check.verdicts(plan, ["builtin"], [answer(score) for score in scores])
     assert verdict.holds == holds and verdict.describe().startswith(words)
@@ -122,7 +122,7 @@ def test_a_cloak_that_failed_is_said_to_have_failed(tmp_path, scores, holds, wor
 
 
 def test_each_detector_judges_by_its_own_threshold(tmp_path):
-    plan = render_check.Plan("Body", tmp_path / "render check 1", (0, 5))
+    plan = render_check.Plan("Body", tmp_path / "render check", (0, 5))
     plan.folder.mkdir()
     scores = (0.1, 0.3, 0.9, 0.9, 0.1, 0.3, 0.9, 0.9)
     answers = [answer(score, 0.5 if number < 4 else 0.25) for number, score in enumerate(scores)]

@@ -26,7 +26,9 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     assert (job.state, job.message) == ("done", "2 people wear it")
     worn = wear.last_worn(folder_of(dressed))
     assert (worn.people, worn.left_out, len(worn.pictures)) == (2, 1, 8)
-    assert worn.rates == {"builtin": {"run": 0.5, "clothing": 0.0, "grey": 0.05, "random": 0.1}}
+    (judged,) = worn.detectors
+    rates = {name: own.value for name, (_, own) in judged.rates.items()}
+    assert judged.spec == "builtin" and rates == {"run": 0.5, "clothing": 0.0, "grey": 0.05, "random": 0.1}
     assert [path.stem for path in worn.pictures[:2]] == ["before", "after run"]
     bpy.ops.cloak.wear()
     run_job()
