@@ -115,7 +115,7 @@ FAMILIES = {
     ),
     "openvino": Family(
         spec="openvino:FILE.xml[:LAYOUT]",
-        loader="runtimes.loading:load_openvino",
+        loader="runtimes.openvino_file:load_openvino",
         parts=(1, 2),
         refuses={},
         changes_networks=False,
@@ -127,7 +127,7 @@ FAMILIES = {
     ),
     "tflite": Family(
         spec="tflite:FILE.tflite[:LAYOUT]",
-        loader="runtimes.loading:load_tflite",
+        loader="runtimes.tflite_file:load_tflite",
         parts=(1, 2),
         refuses={},
         changes_networks=False,

@@ -240,7 +240,7 @@ def _scores(*detectors: OnnxDetector) -> list[Tensor]:
 def _apart(one: OnnxDetector, other: OnnxDetector) -> Apart:
     images = one.pixels.apply(sample_images(one.input_size)[:1])
     with torch.no_grad():
-        return Apart(*apart([one.answer(images)], [other.answer(images)]))
+        return apart([one.answer(images)], [other.answer(images)])
 
 
 def main(page: Path, files: Path) -> None:

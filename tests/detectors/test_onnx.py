@@ -10,9 +10,10 @@ import torch
 from cloak_core.core.detector.protocol import detector_record, state_hash
 from cloak_core.detectors.families import FAMILIES, list_families
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.onnx_family import parity
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
+from cloak_core.detectors.onnx_family.model_file import read_model
 from cloak_core.detectors.onnx_family.networks import Session
+from cloak_core.detectors.verification import comparing
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, others_are_the_rest
 from tests.detectors.test_gradients import lowers_score
@@ -114,13 +115,10 @@ def test_tells_the_best_other_class(path: Path) -> None:
 
 
 def detector_session(path: Path) -> Session:
-    from cloak_core.detectors.onnx_family.model_file import read_model
-
-    file = read_model(path)
-    return Session(file.session(1), file)
+    return Session(read_model(path))
 
 
-def test_a_reshape_of_a_fixed_batch_is_run_image_by_image_and_named(tmp_path: Path, caplog) -> None:
+def test_a_reshape_of_a_fixed_batch_is_run_image_by_image(tmp_path: Path, caplog) -> None:
     made = Made()
     made.weight("fixed", np.array([1, 6, -1]), onnx.TensorProto.INT64)
     made.body()
@@ -128,7 +126,7 @@ def test_a_reshape_of_a_fixed_batch_is_run_image_by_image_and_named(tmp_path: Pa
     path = made.save(tmp_path / "fixed.onnx")
     with caplog.at_level(logging.WARNING):
         detector = load_detector(f"onnx:{path}")
-    assert "a batch goes wrong in it at node rows; its images are run one by one" in caplog.text
+    assert "a batch goes wrong in it; its images are run one by one" in caplog.text
     assert detector.differentiable and detector.network.one_by_one
     close(detector, detector_session(path))
     before, after = lowers_score(detector, images(2, 90, 60))
@@ -191,7 +189,7 @@ def test_an_operator_without_a_translation_is_named(tmp_path: Path, caplog) -> N
 
 
 def test_what_is_wrong_in_torch_is_not_trained_against(path: Path, monkeypatch, caplog) -> None:
-    monkeypatch.setattr(parity, "SCORES", -1.0)
+    monkeypatch.setattr(comparing, "SCORES", -1.0)
     with caplog.at_level(logging.WARNING):
         detector = load_detector(f"onnx:{path}")
     assert "converted to torch it answers otherwise than in onnxruntime" in caplog.text
@@ -309,7 +307,7 @@ def test_names_are_needed(tmp_path: Path) -> None:
 
 
 def test_a_black_box_hashes_its_file(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(parity, "SCORES", -1.0)
+    monkeypatch.setattr(comparing, "SCORES", -1.0)
     hashes = set()
     for names in (NAMES, "{0: 'dog', 1: 'person'}"):
         made = Made()

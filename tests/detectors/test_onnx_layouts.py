@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloak_core.detectors.onnx_family.guessing import guess_layout
-from cloak_core.detectors.onnx_family.layouts import LAYOUTS, cells, strides_of
+from cloak_core.detectors.onnx_family.decoders import cells, strides_of
+from cloak_core.detectors.onnx_family.layouts import LAYOUTS, guess_layout
 
 SIZE = (64, 96)
 BOX = [8.0, 16.0, 40.0, 48.0]
@@ -63,7 +63,7 @@ OUTPUTS = {
 
 
 def best(name: str, outputs: list[Tensor]) -> tuple[list[float], float]:
-    decoded = LAYOUTS[name].decoder(outputs)(outputs, SIZE)
+    decoded = LAYOUTS[name].settled(outputs)(outputs, SIZE)
     classes = decoded.classes if decoded.objectness is None else decoded.classes * decoded.objectness[..., None]
     assert decoded.boxes.shape[:2] == classes.shape[:2]
     at = int(classes[0, :, 1].argmax())
@@ -153,13 +153,12 @@ def test_the_layout_is_told_from_shapes_and_values(name: str) -> None:
     outputs = OUTPUTS[name]
     if name == "yolox":
         outputs = [outputs[0] - rows(COUNT, 7, [0.0, 0, 1, 1, 0, 0, 0], at=0)]  # some sizes below one cell
-    named = {f"output{i}": output for i, output in enumerate(outputs)}
-    assert guess_layout(named, SIZE, 80 if name == "rtdetr" else 2) == name
+    assert guess_layout(outputs, SIZE, 80 if name == "rtdetr" else 2) == name
 
 
 def test_no_layout_is_guessed_where_none_fits() -> None:
-    assert guess_layout({"a": torch.zeros(1, 77, 9)}, SIZE, 80) is None
-    assert guess_layout({"a": torch.zeros(1, 3, 8, 8)}, SIZE, 80) is None
+    assert guess_layout([torch.zeros(1, 77, 9)], SIZE, 80) is None
+    assert guess_layout([torch.zeros(1, 3, 8, 8)], SIZE, 80) is None
 
 
 def test_strides() -> None:
@@ -171,7 +170,7 @@ def test_strides() -> None:
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_everything_is_differentiable(name: str) -> None:
     outputs = [output.clone().requires_grad_() for output in OUTPUTS[name]]
-    decoded = LAYOUTS[name].decoder([output.detach() for output in outputs])(outputs, SIZE)
+    decoded = LAYOUTS[name].settled([output.detach() for output in outputs])(outputs, SIZE)
     total = decoded.boxes.sum() + decoded.classes.sum()
     total = total if decoded.objectness is None else total + decoded.objectness.sum()
     assert all(torch.isfinite(g).all() and g.abs().sum() > 0 for g in torch.autograd.grad(total, outputs))

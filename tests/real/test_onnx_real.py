@@ -26,8 +26,7 @@ def test_a_real_file(shared, name: str) -> None:
     assert detector.differentiable and not detector.network.one_by_one
     photos = shared / "data" / "photos"
     images = [fit(read_image(photos / f"{p}.jpg")[None], detector.input_size)[0] for p in ("person", "dog", "horses")]
-    file = read_model(path)
-    session = Session(file.session(1), file)
+    session = Session(read_model(path))
     with torch.no_grad():
         found = detector.answer(torch.cat(images))
         for i, image in enumerate(images):

@@ -1,45 +1,48 @@
-"""`onnx:FILE[:LAYOUT]`: an ONNX file as a detector that can be trained against, or else as a black box."""
+"""Networks' files as detectors; `onnx:FILE[:LAYOUT]`, one that can be trained against, or else a black box."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index
+from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index, read_names
 from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.onnx_family.channels import order_channels
+from cloak_core.detectors.onnx_family.decoders import Decode
 from cloak_core.detectors.onnx_family.end_to_end import before_choice
-from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier, what_it_may_be
-from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode
-from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model, read_proto
+from cloak_core.detectors.onnx_family.layouts import (
+    END_TO_END,
+    LAYOUTS,
+    Layout,
+    guess_layout,
+    is_classifier,
+    why_unknown,
+)
+from cloak_core.detectors.onnx_family.model_file import ModelFile, NetworkFile, read_model, read_proto
 from cloak_core.detectors.onnx_family.networks import (
+    BlackBox,
     Converted,
     NotConvertible,
     Session,
     as_input,
-    node_that_mixes,
     prepared,
     to_torch,
 )
-from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, takes_batches
+from cloak_core.detectors.onnx_family.parity import Verdict, compare, remembered, takes_batches
 from cloak_core.detectors.onnx_family.weights import NotTrainable, TrainableWeights
 from cloak_core.detectors.pixels import YOLO_GREY, PixelFormat, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError, first_line
 
-if TYPE_CHECKING:
-    import onnx
-
-END_TO_END = "end2end"
 CHOSEN_ALONE = "only the boxes that the file chooses have a gradient"
 COCO_91 = (90, 91, 92)
 """Numbers of classes of exports that count COCO's own ids, where "nothing" may be among them."""
@@ -48,7 +51,7 @@ _log = logging.getLogger("cloak")
 
 
 class OnnxDetector(Detector):
-    """A network from an ONNX file: a torch module where conversion succeeded, else an onnxruntime session."""
+    """A network from a file: a torch module where conversion succeeded, else run by the file's own runtime."""
 
     def __init__(
         self, network: nn.Module, decode: Decode, size: tuple[int, int], pixels: PixelFormat, letterbox: bool, spec: str
@@ -62,9 +65,9 @@ class OnnxDetector(Detector):
         self.path = Path(spec)
         self.weights: TrainableWeights | None = None
         """Of a network that was loaded as it is, to be trained."""
-        self.opset = 0
+        self.opset: int | None = None
         self.black_box = ""
-        """Why it is one; "" for a network that was converted."""
+        """Why an ONNX file is one; "" for a network that was converted."""
         self.untranslated: Sequence[dict[str, object]] = ()
         """Operators that made it one: {"op", "version", "node"} of each."""
 
@@ -72,22 +75,20 @@ class OnnxDetector(Detector):
         if images.requires_grad and not self.differentiable:
             raise InputError(f"{self.spec}: a black box without gradients: evaluate with it, do not train")
         inputs, placement = fit(images, self.input_size, self.letterbox, self.fill)
-        found = self.answer(self.pixels.apply(inputs))
-        return found.of_person(self.person, placement, self.first_class)
+        return self.answer(self.pixels.apply(inputs)).of_person(self.person, placement, self.first_class)
 
     def original(self) -> OnnxDetector | None:
         """Load the file into onnxruntime; None for a black box, which runs there already."""
         if not self.differentiable:
             return None
-        file = read_model(self.path)
+        file = read_model(self.path, self.input_size)
         if file.digest != self.source["file"]:
             raise InputError(f"{self.path}: changed since it was loaded")
         if self.source["layout"] == END_TO_END:
-            file = before_choice(file, self.input_size)
-        session = Session(file.session(torch.get_num_threads()), file)
-        made = OnnxDetector(session, self.decode, self.input_size, self.pixels, self.letterbox, self.spec)
-        made.person, made.path, made.source = self.person, self.path, self.source
-        made.first_class, made.class_names = self.first_class, self.class_names
+            file = before_choice(file)
+        made = OnnxDetector(Session(file), self.decode, self.input_size, self.pixels, self.letterbox, self.spec)
+        for name in ("person", "first_class", "class_names", "path", "source", "fill"):
+            setattr(made, name, getattr(self, name))
         return made.freeze()
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
@@ -103,188 +104,195 @@ def load_onnx(request: Request) -> OnnxDetector:
     metadata, else class names as for Darknet. InputError names what is missing or ambiguous; with `fold` False also why
     the file cannot be converted.
     """
-    name, named = (*request.parts, "")[:2]
-    if named and request.layout:
-        raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")
-    file = read_model(Path(name).expanduser())
-    size = file.input_size(request.input_size)
-    if (request.layout or named or END_TO_END) == END_TO_END:
-        file = before_choice(file, size)
+    path, named = file_and_layout(request)
+    file = read_model(path, request.input_size)
+    if named in ("", END_TO_END):
+        file = before_choice(file)
     try:
-        model = _prepared(file)
-        detector = _assemble(request, named, file, _converted(file, model, size, request.fold))
-        _compare(detector, file, request.fold)
-        if detector.partial_gradient and request.fold:
-            _log.warning("%s: %s; its graph shows no others", file.path, detector.partial_gradient)
-        if not request.fold:
-            if detector.partial_gradient:
-                raise NotTrainable(f"{file.path}: its graph chooses boxes itself, and {CHOSEN_ALONE}")
-            detector.weights = TrainableWeights(detector.network.graph, model, read_proto(file.path)[0])
+        detector = _white_box(request, file)
     except NotConvertible as error:
         if not request.fold:
             raise NotTrainable(f"{file.path}: its weights cannot be trained: {error}") from None
-        session = Session(file.session(torch.get_num_threads()), file)
-        detector = _assemble(request, named, file, session)
-        session.one_by_one |= not takes_batches(session, detector.pixels.apply(sample_images(size)))
+        session = Session(file)
+        detector = assemble(request, file, session)
+        session.one_by_one |= not takes_batches(session, detector.pixels.apply(sample_images(file.size)))
         detector.black_box, detector.untranslated = str(error), error.untranslated
         words = "%s: a black box, good for evaluation alone: %s; to train against it, %s"
         _log.warning(words, file.path, error, error.way)
+    detector.opset, detector.packages = file.opset, PACKAGES
     return detector.freeze()
 
 
-def _prepared(file: ModelFile) -> onnx.ModelProto:
-    """Copy the file's model as it can be converted. NotConvertible: it cannot."""
+def file_and_layout(request: Request) -> tuple[Path, str]:
+    """Find which file a spec names, and the layout that it, or the caller, names; "" for none."""
+    name, named = (*request.parts, "")[:2]
+    if named and request.layout:
+        raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")
+    return Path(name).expanduser(), request.layout or named
+
+
+def _white_box(request: Request, file: ModelFile) -> OnnxDetector:
+    """Convert a file to torch and compare it with onnxruntime. NotConvertible: it cannot be, or they disagree.
+
+    Without folding, every weight of it is one of the file's, and NotTrainable says why none can be trained.
+    """
     if file.quantised:
         raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})", "export it without quantising")
     if file.suppresses:
         why = f"it suppresses boxes itself (node {file.suppresses}), and what it cuts has no gradient"
         raise NotConvertible(why, "export it without (nms=False)")
-    return prepared(file.model)
-
-
-def _converted(file: ModelFile, model: onnx.ModelProto, size: tuple[int, int], fold: bool) -> Converted:
-    """Convert a prepared model to a torch module; without folding, every weight of it is one of the file's."""
-    graph = to_torch(model, fold)
+    model = prepared(file.model)
+    graph = to_torch(model, request.fold)
     for tensor in (*graph.parameters(), *graph.buffers()):
         if tensor.dim() == 4:
             tensor.data = tensor.data.contiguous(memory_format=torch.channels_last)
     try:
-        order_channels(graph, as_input(sample_images(size)[:1], file), weights=fold)
+        order_channels(graph, as_input(sample_images(file.size)[:1], file), weights=request.fold)
     except Exception as error:  # onnx2torch's modules fail in their own ways
         raise _fails(error) from None
-    return Converted(graph, file, one_by_one=file.batch is not None)
+    detector = assemble(request, file, Converted(graph, file, one_by_one=file.batch is not None))
+    if detector.source["layout"] == END_TO_END and file.layout is None:
+        detector.partial_gradient = CHOSEN_ALONE
+    _compare(detector, file, request.fold)
+    if request.fold and detector.partial_gradient:
+        _log.warning("%s: %s; its graph shows no others", file.path, detector.partial_gradient)
+    elif detector.partial_gradient:
+        raise NotTrainable(f"{file.path}: its graph chooses boxes itself, and {CHOSEN_ALONE}")
+    elif not request.fold:
+        detector.weights = TrainableWeights(graph, model, read_proto(file.path)[0])
+    return detector
 
 
 def _fails(error: Exception) -> NotConvertible:
     return NotConvertible(f"it fails in torch ({type(error).__name__}: {first_line(error)[:120]})")
 
 
-def _assemble(request: Request, named: str, file: ModelFile, network: Converted | Session) -> OnnxDetector:
-    """Make a detector of a network: its layout, its person, its operating point."""
-    size = file.input_size(request.input_size)
-    outputs = _first_outputs(file, network, size)
-    layout_name, decode = _layout(request, named, file, outputs, size)
-    layout = LAYOUTS[layout_name]
+def assemble(request: Request, file: NetworkFile, network: Converted | BlackBox) -> OnnxDetector:
+    """Make a detector of a network: its layout, its person, its operating point.
+
+    Each as the spec says, else the file, else the JSON file beside it, else as the layout usually has it. InputError
+    names what is missing or ambiguous.
+    """
+    outputs = _first_outputs(file, network)
+    name, layout, decode = _layout(request, file, outputs)
     letterbox = request.letterbox or (layout.letterbox and not request.stretch)
-    pixels, said = request.pixels or file.described.pixels, file.confidence or file.described.confidence
-    detector = OnnxDetector(network, decode, size, pixels or layout.pixels, letterbox, request.spec)
-    detector.name, detector.pixels_assumed = file.path.stem, pixels is None
-    detector.path, detector.opset = file.path, file.opset
-    if layout_name == END_TO_END and not file.before_choice and detector.differentiable:
-        detector.partial_gradient = CHOSEN_ALONE
-    count = len(file.names) if layout_name == END_TO_END and file.names else decode(outputs, size).classes.shape[-1]
-    detector.class_names = _names(file, count)
+    pixels = request.pixels or file.pixels or file.described.pixels
+    detector = OnnxDetector(network, decode, file.size, pixels or layout.pixels, letterbox, request.spec)
+    detector.name, detector.path = file.path.stem, file.path
+    detector.pixels_assumed, detector.fill = pixels is None, layout.fill
+    count = None if layout.chosen else decode(outputs, file.size).classes.shape[-1]
+    detector.class_names = _names(file, layout, count)
     # Among 91 and more of COCO's own numbering the first is nothing.
     detector.first_class = int(detector.class_names is COCO_IDS and count != COCO_91[0])
-    detector.person = chosen_person(request, detector.class_names, file.described.person, count, file.path)
-    detector.operating_point = request.confidence or said or layout.confidence
-    detector.operating_point_assumed = not (request.confidence or said)
-    options = {"layout": layout_name, "pixels": repr(detector.pixels), "letterbox": letterbox}
-    detector.source = {"file": file.digest, "input_size": list(size), "person": detector.person} | options
-    detector.packages = PACKAGES
+    detector.person = _person(request, detector.class_names, file, count)
+    confidence = request.confidence or file.confidence or file.described.confidence
+    detector.operating_point = confidence or layout.confidence
+    detector.operating_point_assumed = not confidence
+    options = {"layout": name, "pixels": repr(detector.pixels), "letterbox": letterbox}
+    detector.source = {"file": file.digest, "input_size": list(file.size), "person": detector.person} | options
     return detector
 
 
+def load_black_box(
+    request: Request, file: NetworkFile, run: Callable[[np.ndarray], list[np.ndarray]], package: str
+) -> OnnxDetector:
+    """Make a detector of a file that another runtime runs: `run` takes one image, `package` is the runtime's."""
+    detector = assemble(request, file, BlackBox(run, file.digest, file.channels_last, one_by_one=True))
+    detector.packages = (package,)
+    return detector.freeze()
+
+
 @torch.no_grad()
-def _first_outputs(file: ModelFile, network: Converted | Session, size: tuple[int, int]) -> list[Tensor]:
+def _first_outputs(file: NetworkFile, network: Converted | BlackBox) -> list[Tensor]:
     """Run the network on one sample image."""
     try:
-        return network(sample_images(size)[:1])
+        return network(sample_images(file.size)[:1])
     except InputError as error:
         raise InputError(f"{file.path}: {error}") from None
-    except Exception as error:  # of onnx2torch's modules, or onnxruntime's own
-        if isinstance(network, Converted):
-            raise _fails(error) from None
-        raise _does_not_run(file, size, error) from None
+    except Exception as error:  # of onnx2torch's modules, or the runtime's own
+        raise (_fails(error) if isinstance(network, Converted) else _does_not_run(file, error)) from None
 
 
-def _does_not_run(file: ModelFile, size: tuple[int, int], error: Exception) -> InputError:
-    return InputError(f"{file.path}: does not run at {size[0]}x{size[1]} ({first_line(error)[:160]})")
+def _does_not_run(file: NetworkFile, error: Exception) -> InputError:
+    return InputError(f"{file.path}: does not run at {file.size[0]}x{file.size[1]} ({first_line(error)[:160]})")
 
 
-def _layout(
-    request: Request, named: str, file: ModelFile, outputs: list[Tensor], size: tuple[int, int]
-) -> tuple[str, Decode]:
-    """Find the layout's name, and what decodes such outputs."""
-    labelled = dict(zip(file.output_names, outputs, strict=True))
-    name = request.layout or named or (END_TO_END if file.before_choice else "")
-    name = name or guess_layout(labelled, size, file.names and len(file.names))
+def _layout(request: Request, file: NetworkFile, outputs: list[Tensor]) -> tuple[str, Layout, Decode]:
+    """Find the layout, its name, and what decodes such outputs."""
+    labelled = zip(file.output_names, outputs, strict=True)
+    shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled)
+    if is_classifier(outputs) and not file.suppresses:
+        raise InputError(f"{file.path}: not a detector: one output, {shapes}")
+    name, layout = file_and_layout(request)[1], None
+    if file.layout is not None and name in ("", file.layout[0]):
+        name, layout = file.layout
     if not name and file.described.layout in LAYOUTS:
         name = file.described.layout
-    shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())
-    if not name and is_classifier(labelled, file.suppresses):
-        raise InputError(f"{file.path}: not a detector: one output, {shapes}")
+    name = name or guess_layout(outputs, file.size, file.names and len(file.names)) or ""
+    known = ", ".join(LAYOUTS)
     if not name:
-        known, guess = ", ".join(LAYOUTS), what_it_may_be(labelled, file.suppresses)
-        words = f"{file.path}: outputs {shapes} are of no known layout{guess and f'; {guess}'}"
-        raise InputError(f"{words}; say onnx:FILE:LAYOUT ({known})")
-    if name not in LAYOUTS:
-        raise InputError(f"detector {request.spec!r}: unknown layout {name!r}; known are {', '.join(LAYOUTS)}")
+        why = why_unknown(outputs, file.suppresses)
+        words = f"{file.path}: outputs {shapes} are of no known layout{why and f'; {why}'}"
+        raise InputError(f"{words}; say {request.family}:FILE:LAYOUT ({known})")
+    layout = layout or LAYOUTS.get(name)
+    if layout is None:
+        raise InputError(f"detector {request.spec!r}: unknown layout {name!r}; known are {known}")
     try:
-        decode = LAYOUTS[name].decoder(outputs)
-        decode(outputs, size)
+        decode = layout.settled(outputs)
+        decode(outputs, file.size)
     except (RuntimeError, IndexError, ValueError) as error:  # what tensors of another shape end in
         raise InputError(f"{file.path}: its outputs {shapes} are not laid out as {name}") from error
-    return name, decode
+    return name, layout, decode
 
 
 def _compare(detector: OnnxDetector, file: ModelFile, fold: bool) -> None:
     """Compare a converted network with onnxruntime. NotConvertible: they disagree.
 
-    Where only batches go wrong its images are run one by one, and a line names the node.
+    Where only batches go wrong its images are run one by one, and a line says so.
     """
-    size, decode, converted = detector.input_size, detector.decode, detector.network
-    images = detector.pixels.apply(sample_images(size))
+    decode, converted = detector.decode, detector.network
+    images = detector.pixels.apply(sample_images(file.size))
 
-    def look() -> Parity:
-        session = Session(file.session(torch.get_num_threads()), file)
+    def look() -> Verdict:
+        session = Session(file)
         try:
-            return compare(lambda x: decode(converted(x), size), lambda x: decode(session(x), size), images)
+            return compare(lambda x: decode(converted(x), file.size), lambda x: decode(session(x), file.size), images)
         except InputError:
             raise
         except Exception as error:  # onnxruntime's own, where it finds a file wrong that torch runs
-            raise _does_not_run(file, size, error) from None
+            raise _does_not_run(file, error) from None
 
     settled = decode if is_dataclass(decode) else ""  # what a layout found out; functions have no words that last
-    parity = remembered(f"{detector.source} {settled}{'' if fold else ' as it is'}", look)
-    if parity.why or not parity.agrees:
-        raise NotConvertible(parity.why or _disagreement(parity))
-    if not parity.takes_batches:
+    verdict = remembered(f"{detector.source} {settled}{'' if fold else ' as it is'}", look)
+    if verdict.why_not:
+        raise NotConvertible(verdict.why_not)
+    if not verdict.takes_batches:
         converted.one_by_one = True
-        node = node_that_mixes(converted.graph, images[:2])
-        place = f" at node {node}" if node else ""
-        _log.warning("%s: a batch goes wrong in it%s; its images are run one by one", file.path, place)
+        _log.warning("%s: a batch goes wrong in it; its images are run one by one", file.path)
 
 
-def _disagreement(parity: Parity) -> str:
-    if parity.same and parity.gradient is None:
-        return "its scores have no finite gradient in the image"
-    if parity.same:
-        return f"its gradient is {parity.gradient:.0%} off a finite difference"
-    figures = f"scores by {parity.scores:.1e}, boxes by {parity.boxes_px:.2f} px"
-    return f"converted to torch it answers otherwise than in onnxruntime ({figures})"
-
-
-def _names(file: ModelFile, count: int) -> tuple[str, ...] | None:
+def _names(file: NetworkFile, layout: Layout, count: int | None) -> tuple[str, ...] | None:
     """Find names of its classes: the file's own, its description's, of a list beside it, or COCO's by their number."""
     for said in (file.names, file.described.names):
-        if said and len(said) == count:
+        if said and count in (None, len(said)):
             return said
+    if count is None:
+        beside = file.path.with_suffix(".names")
+        return read_names(beside) if beside.is_file() else layout.names
     names = names_beside(file.path, count)
     if names is None and count in COCO_91:
         return COCO_IDS if count != COCO_91[0] else COCO_IDS[1:]
     return names
 
 
-def chosen_person(
-    request: Request, names: tuple[str, ...] | None, said: int | None, count: int | None, path: Path
-) -> int:
-    """Find the class asked for, else the described one (`said`), else the only or first one of a file without names.
+def _person(request: Request, names: tuple[str, ...] | None, file: NetworkFile, count: int | None) -> int:
+    """Find the class asked for, else the described one, else the only or first one of a file without names.
 
     count: of its classes; None where its outputs do not say.
     """
-    if request.person_class is None and said is not None and (count is None or said < count):
-        return said
+    described = file.described.person
+    if request.person_class is None and described is not None and (count is None or described < count):
+        return described
     if request.person_class is None and names is None and count in (None, 1):
         return 0
-    return person_index(names, request.person, count or len(names or ()) or COCO_91[1], str(path))
+    return person_index(names, request.person, count or len(names or ()) or COCO_91[1], str(file.path))

@@ -1,7 +1,7 @@
 """End-to-end exports, [N, 300, 6] (YOLOv10 and later): their boxes before the graph chooses the best.
 
 What is not chosen has no gradient, and of each box chosen only its best class is told. So the graph is cut before its
-first TopK, where every box still has the scores of all classes.
+first TopK, or before its suppression, where every box still has the scores of all classes.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-import torch
 from torch import Tensor
 
+from cloak_core.detectors.decoding import Decoded
+from cloak_core.detectors.onnx_family.decoders import every_box
+from cloak_core.detectors.onnx_family.layouts import END_TO_END, LAYOUTS
 from cloak_core.detectors.onnx_family.model_file import ModelFile
 from cloak_core.detectors.onnx_family.networks import Session
 from cloak_core.detectors.verification.comparing import sample_images
@@ -31,29 +31,26 @@ ROWS = 10
 """Best rows of the file that must be found again among the boxes before its choice."""
 SCORE, PIXELS = 1e-4, 0.05
 """How far they may be off."""
+EVERY_BOX = replace(LAYOUTS[END_TO_END], decode=every_box, chosen=False)
 
 
-def before_choice(file: ModelFile, size: tuple[int, int]) -> ModelFile:
-    """The file with boxes [N, A, 4] and scores [N, A, K] as outputs where it is an end-to-end export, else as it is.
+def before_choice(file: ModelFile) -> ModelFile:
+    """The file with every box as its output (`every_box`) where it is an end-to-end export, else as it is.
 
     It stays as it is where the best rows of the file do not stand among these boxes, too.
     """
     if len(file.model.graph.output) != 1:
         return file
-    ways = map(partial(_parted, file.model), _all_rows(file)) if file.suppresses else _boxes_and_scores(file.model)
-    for model, names in ways:
-        cut = replace(file, model=_ending_in(model, names), output_names=names, before_choice=True, suppresses="")
+    for names in _all_rows(file) if file.suppresses else _boxes_and_scores(file.model.graph):
+        model = _ending_in(file.model, names)
+        cut = replace(file, model=model, output_names=names, layout=(END_TO_END, EVERY_BOX), suppresses="")
         with contextlib.suppress(InputError, RuntimeError, IndexError):  # onnxruntime's words, or other shapes
-            if _has_the_same_best(file, cut, size):
+            if _has_the_same_best(file, cut):
                 return cut
     return file
 
 
-Ways = Iterator[tuple["onnx.ModelProto", tuple[str, str]]]
-"""A model, and names of its tensors that may hold all boxes and all scores."""
-
-
-def _all_rows(file: ModelFile) -> Iterator[str]:
+def _all_rows(file: ModelFile) -> Iterator[tuple[str]]:
     """Names of the tensors, from the last to the first, through which all goes from the image to the suppression."""
     graph = file.model.graph
     depends, needed, suppressed = _downstream(graph, [file.input_name]), {graph.output[0].name}, False
@@ -62,26 +59,11 @@ def _all_rows(file: ModelFile) -> Iterator[str]:
             needed = (needed - set(node.output)) | depends.intersection(node.input)
             suppressed |= node.op_type == "NonMaxSuppression"
             if suppressed and len(needed) == 1:
-                yield from needed
+                yield tuple(needed)
 
 
-def _parted(model: onnx.ModelProto, rows: str) -> tuple[onnx.ModelProto, tuple[str, str]]:
-    """Copy the model, with rows [N, A, 4 + K] parted into boxes and scores."""
-    from onnx import helper, numpy_helper
-
-    copied = type(model)()
-    copied.CopyFrom(model)
-    ends = {"cloak/start": [0], "cloak/four": [4], "cloak/end": [np.iinfo(np.int32).max], "cloak/last": [2]}
-    copied.graph.initializer.extend(numpy_helper.from_array(np.array(v, np.int64), k) for k, v in ends.items())
-    for name, first, last in (("boxes", "start", "four"), ("scores", "four", "end")):
-        inputs = [rows, f"cloak/{first}", f"cloak/{last}", "cloak/last"]
-        copied.graph.node.append(helper.make_node("Slice", inputs, [f"cloak/{name}"]))
-    return copied, ("cloak/boxes", "cloak/scores")
-
-
-def _boxes_and_scores(model: onnx.ModelProto) -> Ways:
+def _boxes_and_scores(graph: onnx.GraphProto) -> Iterator[tuple[str, str]]:
     """Find all boxes and all scores before every choice by TopK that the output comes from."""
-    graph = model.graph
     made_by = {output: node for node in graph.node for output in node.output}
     for choice in (node for node in graph.node if node.op_type == "TopK"):
         scores = choice.input[0]
@@ -91,7 +73,7 @@ def _boxes_and_scores(model: onnx.ModelProto) -> Ways:
         for node in graph.node:
             data, index = (*node.input, "")[:2] if node.op_type in GATHERS else ("", "")
             if index in chosen and data not in chosen and data != scores and graph.output[0].name in chosen:
-                yield model, (data, scores)
+                yield data, scores
                 break
 
 
@@ -122,25 +104,26 @@ def _ending_in(model: onnx.ModelProto, names: tuple[str, ...]) -> onnx.ModelProt
     return cut
 
 
-def _has_the_same_best(file: ModelFile, cut: ModelFile, size: tuple[int, int]) -> bool:
+def _has_the_same_best(file: ModelFile, cut: ModelFile) -> bool:
     """Whether the file's best rows of sample images stand among the boxes before its choice; padding is no row.
 
     Where the file reports nothing there: whether these are corners in their order, and probabilities.
     """
-    sessions = [Session(f.session(torch.get_num_threads()), f) for f in (file, cut)]
+    whole, before = Session(file), Session(cut)
     found, sane = 0, True
-    for image in sample_images(size).split(1):
-        (rows,), (boxes, scores) = (session(image) for session in sessions)
+    for image in sample_images(file.size).split(1):
+        (rows,), every = whole(image), every_box(before(image), file.size)
+        boxes, scores = every.boxes, every.classes
         if rows.dim() != 3 or rows.shape[2] != 6 or boxes.shape[:2] != scores.shape[:2] or boxes.shape[2] != 4:
             return False
         best = [row for row in rows[0, :ROWS] if row[4] > 0]
-        if not all(_stands_in(row, boxes[0], scores[0]) for row in best):
+        if not all(_stands_in(row, every) for row in best):
             return False
         found += len(best)
         sane &= bool((boxes[..., 2:] >= boxes[..., :2]).all()) and bool(((scores >= 0) & (scores <= 1)).all())
     return found > 0 or sane
 
 
-def _stands_in(row: Tensor, boxes: Tensor, scores: Tensor) -> bool:
-    near = (boxes - row[:4]).abs().amax(dim=1) <= PIXELS
-    return bool((near & ((scores[:, int(row[5])] - row[4]).abs() <= SCORE)).any())
+def _stands_in(row: Tensor, every: Decoded) -> bool:
+    near = (every.boxes[0] - row[:4]).abs().amax(dim=1) <= PIXELS
+    return bool((near & ((every.classes[0, :, int(row[5])] - row[4]).abs() <= SCORE)).any())

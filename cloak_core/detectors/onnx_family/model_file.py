@@ -1,10 +1,11 @@
-"""An ONNX file: what it says of its input, classes and size, and what of it cannot be run."""
+"""A network's file: what it says of its input, classes and size; of ONNX also what of it cannot be run."""
 
 from __future__ import annotations
 
 import ast
+import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloak_core.detectors.classes import Description, confidence_of, licence_of, names_of, read_description
+from cloak_core.detectors.onnx_family.layouts import Layout
+from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.specs import check_size
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
@@ -19,8 +22,6 @@ from cloak_core.files.reading import MAX_BYTES, read_bytes
 
 if TYPE_CHECKING:
     import onnx
-    import onnxruntime
-
 
 DEFAULT_SIDE = 640
 QUANTISED = (
@@ -33,66 +34,77 @@ QUANTISED = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ModelFile:
-    """A model of images, read and understood as far as its file tells."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NetworkFile:
+    """What a network's file says of itself, for any runtime; None where it does not say."""
 
     path: Path
-    model: onnx.ModelProto
-    """Its weights with it, all of them float32."""
     digest: str
-    """SHA-256 of the file and of what it keeps outside itself."""
-    opset: int
-    input_name: str
-    output_names: tuple[str, ...]
+    """SHA-256 of all its files."""
     channels_last: bool
     """The input is [N, H, W, 3] (exports of TensorFlow), not [N, 3, H, W]."""
+    size: tuple[int, int]
+    """(height, width) that it is run at."""
+    output_names: tuple[str, ...]
+    names: tuple[str, ...] | None = None
+    """Of its classes."""
+    confidence: float | None = None
+    """The score above which it reports a box."""
+    pixels: PixelFormat | None = None
+    """How it wants its pixels."""
+    layout: tuple[str, Layout] | None = None
+    """How its outputs are read, by a name."""
+    described: Description = dataclasses.field(default_factory=Description)
+    """What a JSON file beside it says."""
+    suppresses: str = ""
+    """Name of a node that suppresses boxes; "" for none."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ModelFile(NetworkFile):
+    """An ONNX model of images, read and understood as far as its file tells."""
+
+    model: onnx.ModelProto
+    """Its weights with it, all of them float32."""
+    opset: int
+    input_name: str
     batch: int | None
     """The batch that the file fixes; None where any goes."""
-    size: tuple[int, int] | None
-    """(height, width) that the file fixes, or says it was made for."""
-    fixed_size: bool
-    names: tuple[str, ...] | None
-    """The classes' names, where its exporter wrote them."""
-    confidence: float | None
-    """Its usual confidence threshold, where its exporter wrote it."""
-    described: Description
-    """What a JSON file beside it says."""
     quantised: tuple[str, ...]
     """Names of its first nodes that compute in integers."""
-    suppresses: str
-    """Name of a node that suppresses boxes; "" for none."""
     licence: str | None
     """As the file itself says, or else the JSON file beside it."""
-    before_choice: bool = False
-    """The outputs are all boxes and scores of an end-to-end export, before it chooses the best."""
-
-    def input_size(self, wanted: tuple[int, int] | None) -> tuple[int, int]:
-        """Choose the size to run it at. InputError: it is fixed to another."""
-        if self.fixed_size and wanted not in (None, self.size):
-            fixed, other = (f"{h}x{w}" for h, w in (self.size, wanted))
-            raise InputError(f"{self.path}: its input is fixed to {fixed}, it cannot run at {other}")
-        return check_size(wanted or self.size or (DEFAULT_SIDE, DEFAULT_SIDE), self.path)
-
-    def session(self, threads: int) -> onnxruntime.InferenceSession:
-        """Load the model into onnxruntime. InputError: it cannot run it, in its words."""
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        options.intra_op_num_threads = threads
-        try:
-            return onnxruntime.InferenceSession(
-                self.model.SerializeToString(), options, providers=["CPUExecutionProvider"]
-            )
-        except Exception as error:  # onnxruntime has a class of its own for each kind of broken file
-            words = first_line(error)[:160]
-            raise InputError(f"{self.path}: not an ONNX model that onnxruntime can run ({words})") from error
 
 
-def read_model(path: Path) -> ModelFile:
-    """Read a file. InputError: no ONNX; weights outside its folder; several inputs; an input that is no batch of RGB
-    images."""
+def image_input(
+    shape: Sequence[int | None], wanted: tuple[int, int] | None, usual: tuple[int, int] | None, path: Path
+) -> tuple[bool, tuple[int, int]]:
+    """Tell from an input's shape (None: any) whether channels stand last, and (height, width) to run at.
+
+    usual: where neither the file nor the caller (`wanted`) says. InputError: no batch of RGB images; fixed to several
+    images, or to another size than wanted; nobody says a size.
+    """
+    words = [extent or "any" for extent in shape]
+    channels_last = len(shape) == 4 and shape[3] == 3 and shape[1] != 3
+    if len(shape) != 4 or shape[3 if channels_last else 1] not in (3, None):
+        raise InputError(f"{path}: its input {words} is not a batch of RGB images")
+    if shape[0] not in (1, None):
+        raise InputError(f"{path}: its batch is fixed to {shape[0]} images; export it for one, or for any number")
+    sides = tuple(shape[1:3] if channels_last else shape[2:4])
+    if None not in sides and wanted not in (None, sides):
+        fixed, other = (f"{h}x{w}" for h, w in (sides, wanted))
+        raise InputError(f"{path}: its input is fixed to {fixed}, it cannot run at {other}")
+    size = wanted or (usual if None in sides else sides)
+    if size is None:
+        raise InputError(f"{path}: its input {words} has any size; say one, @HEIGHTxWIDTH")
+    return channels_last, check_size(size, path)
+
+
+def read_model(path: Path, wanted: tuple[int, int] | None = None) -> ModelFile:
+    """Read a file to be run at the size wanted (None: its own, or 640 x 640).
+
+    InputError: no ONNX; weights outside its folder; several inputs; what `image_input` refuses.
+    """
     model, digest = read_proto(path)
     _as_float32(model, path)
     weights = {initializer.name for initializer in model.graph.initializer}
@@ -100,14 +112,10 @@ def read_model(path: Path) -> ModelFile:
     if len(inputs) != 1:
         raise InputError(f"{path}: has {len(inputs)} inputs ({', '.join(i.name for i in inputs)}), not one of images")
     shape = [d.dim_value if d.dim_value > 0 else None for d in inputs[0].type.tensor_type.shape.dim]
-    channels_last = len(shape) == 4 and shape[3] == 3 and shape[1] != 3
-    sides = shape[1:3] if channels_last else shape[2:4]
-    if len(shape) != 4 or shape[3 if channels_last else 1] not in (3, None):
-        raise InputError(f"{path}: its input {[d or 'any' for d in shape]} is not a batch of RGB images")
-    if shape[0] not in (1, None):
-        raise InputError(f"{path}: its batch is fixed to {shape[0]} images; export it for one, or for any number")
     said = {entry.key: entry.value for entry in model.metadata_props}
+    channels_last, size = image_input(shape, wanted, _said_size(said) or (DEFAULT_SIDE, DEFAULT_SIDE), path)
     described = read_description(path)
+    kinds = [(node.op_type, node.name or node.op_type) for node in model.graph.node]
     return ModelFile(
         path=path,
         model=model,
@@ -117,13 +125,12 @@ def read_model(path: Path) -> ModelFile:
         output_names=tuple(output.name for output in model.graph.output),
         channels_last=channels_last,
         batch=shape[0],
-        size=tuple(sides) if all(sides) else _said_size(said),
-        fixed_size=all(sides),
+        size=size,
         names=names_of(_literal(said, "names")),
         confidence=confidence_of(said),
         described=described,
-        quantised=tuple(_named(model, lambda kind: kind in QUANTISED))[:3],
-        suppresses=next(_named(model, lambda kind: "NMS" in kind or kind == "NonMaxSuppression"), ""),
+        quantised=tuple(name for kind, name in kinds if kind in QUANTISED)[:3],
+        suppresses=next((name for kind, name in kinds if "NMS" in kind or kind == "NonMaxSuppression"), ""),
         licence=licence_of(said) or described.licence,
     )
 
@@ -152,10 +159,6 @@ def read_proto(path: Path) -> tuple[onnx.ModelProto, str]:
 def _opset(model: onnx.ModelProto) -> int:
     """Find the version of ONNX's own operators; 1 where the file says none, as ONNX has it."""
     return next((entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")), 1)
-
-
-def _named(model: onnx.ModelProto, wanted: Callable[[str], bool]) -> Iterator[str]:
-    return (node.name or node.op_type for node in model.graph.node if wanted(node.op_type))
 
 
 def _load_outside(model: onnx.ModelProto, path: Path) -> list[np.ndarray]:
@@ -241,19 +244,16 @@ def check_tensors(model: onnx.ModelProto, path: Path) -> None:
 def _extents(
     graph: onnx.GraphProto, nodes: list[onnx.NodeProto], path: Path, depth: int
 ) -> Iterator[tuple[str, list[int]]]:
-    """Name and extents of every tensor of a graph, and of the graphs and constants in its nodes."""
+    """Yield name and extents of every tensor of a graph, and of the graphs and constants in its nodes."""
     if depth > MAX_DEPTH:
         raise InputError(f"{path}: graphs within graphs without end")
-    attributes = [attribute for node in nodes for attribute in node.attribute]
-    sparse = [*graph.sparse_initializer]
-    tensors = [*graph.initializer]
-    for attribute in attributes:
+    tensors, sparse = [*graph.initializer], [*graph.sparse_initializer]
+    for attribute in (attribute for node in nodes for attribute in node.attribute):
         tensors += [attribute.t, *attribute.tensors]
         sparse += [attribute.sparse_tensor, *attribute.sparse_tensors]
-    tensors += [part for tensor in sparse for part in (tensor.values, tensor.indices)]
-    yield from ((tensor.name, list(tensor.dims)) for tensor in tensors)
-    yield from (("(sparse)", list(tensor.dims)) for tensor in sparse)
-    for attribute in attributes:
         for inner in (attribute.g, *attribute.graphs):
             if inner.ByteSize():
                 yield from _extents(inner, list(inner.node), path, depth + 1)
+    tensors += [part for tensor in sparse for part in (tensor.values, tensor.indices)]
+    yield from ((tensor.name, list(tensor.dims)) for tensor in tensors)
+    yield from (("(sparse)", list(tensor.dims)) for tensor in sparse)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import warnings
 from collections.abc import Callable, Sequence
 from queue import Empty, Queue
@@ -22,8 +21,6 @@ from cloak_core.files.errors import InputError, first_line
 
 if TYPE_CHECKING:
     import onnx
-    import onnxruntime
-
 
 SECONDS = 120.0
 """For one image, of a network in another runtime."""
@@ -132,43 +129,6 @@ def _lift_constants(graph: onnx.GraphProto) -> None:
             graph.node.remove(node)
 
 
-class _Recorder(fx.Interpreter):
-    """Runs a graph and keeps what every node answers."""
-
-    def __init__(self, graph: fx.GraphModule) -> None:
-        super().__init__(graph, garbage_collect_values=False)
-        self.answers: dict[str, object] = {}
-
-    def run_node(self, n: fx.Node) -> object:
-        self.answers[n.name] = answer = super().run_node(n)
-        return answer
-
-
-@torch.no_grad()
-def node_that_mixes(graph: fx.GraphModule, images: Tensor) -> str:
-    """Name of the first node that answers otherwise for a batch than for its images one by one; "" for none."""
-    alone = []
-    for image in images.split(1):
-        recorder = _Recorder(graph)
-        recorder.run(image)
-        alone.append(recorder.answers)
-    together = _Recorder(graph)
-    with contextlib.suppress(Exception):  # the node that fails is the one that is looked for, below
-        together.run(images)
-    for node in graph.graph.nodes:
-        if not isinstance(alone[0].get(node.name), Tensor) or not alone[0][node.name].dim():
-            continue
-        expected = [answers[node.name] for answers in alone]
-        got = together.answers.get(node.name)
-        if all(torch.equal(expected[0], other) for other in expected[1:]) and got is not None:
-            continue  # a constant of the graph
-        if not isinstance(got, Tensor) or got.shape[0] != len(images) * expected[0].shape[0]:
-            return str(node.meta.get("onnx", node.target))
-        if not torch.allclose(got.float(), torch.cat(expected).float(), atol=1e-3, rtol=1e-3):
-            return str(node.meta.get("onnx", node.target))
-    return ""
-
-
 def as_input(images: Float[Tensor, "B 3 H W"], network: ModelFile | nn.Module) -> Tensor:
     """Order the axes as the network has them: exports of TensorFlow want channels last."""
     return images.permute(0, 2, 3, 1) if network.channels_last else images
@@ -196,8 +156,7 @@ class BlackBox(nn.Module):
 
     @torch.no_grad()
     def forward(self, inputs: Float[Tensor, "B 3 H W"]) -> list[Tensor]:
-        array = as_input(inputs, self)
-        array = np.ascontiguousarray(array.cpu().numpy())
+        array = np.ascontiguousarray(as_input(inputs, self).cpu().numpy())
         chunks = np.split(array, len(array)) if self.one_by_one else [array]
         runs = [self._timed(chunk) for chunk in chunks]
         joined = (np.concatenate(parts) for parts in zip(*runs, strict=True))
@@ -226,18 +185,27 @@ class BlackBox(nn.Module):
 
 
 class Session(BlackBox):
-    """An onnxruntime session; image by image where the batch is fixed."""
+    """An ONNX file in onnxruntime, with torch's threads; image by image where the batch is fixed."""
 
-    def __init__(self, session: onnxruntime.InferenceSession, file: ModelFile) -> None:
+    def __init__(self, file: ModelFile) -> None:
+        """InputError: onnxruntime cannot run the file, in its words."""
         import onnxruntime
 
-        options = onnxruntime.RunOptions()
+        options, run_options = onnxruntime.SessionOptions(), onnxruntime.RunOptions()
+        options.log_severity_level = 3
+        options.intra_op_num_threads = torch.get_num_threads()
+        try:
+            data = file.model.SerializeToString()
+            session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime has a class of its own for each kind of broken file
+            words = first_line(error)[:160]
+            raise InputError(f"{file.path}: not an ONNX model that onnxruntime can run ({words})") from error
         super().__init__(
-            lambda array: session.run(None, {file.input_name: array}, options),
+            lambda array: session.run(None, {file.input_name: array}, run_options),
             file.digest,
             file.channels_last,
             one_by_one=file.batch is not None,
-            stop=lambda: setattr(options, "terminate", True),
+            stop=lambda: setattr(run_options, "terminate", True),
         )
 
 
@@ -250,11 +218,6 @@ class Converted(nn.Module):
 
     def forward(self, inputs: Float[Tensor, "B 3 H W"]) -> list[Tensor]:
         array = as_input(inputs, self)
-        if not self.one_by_one:
-            return self._listed(self.graph(array))
-        runs = [self._listed(self.graph(image)) for image in array.split(1)]
-        return [torch.cat(parts) for parts in zip(*runs, strict=True)]
-
-    @staticmethod
-    def _listed(outputs: Tensor | tuple | list) -> list[Tensor]:
-        return [outputs] if isinstance(outputs, Tensor) else list(outputs)
+        runs = [self.graph(part) for part in (array.split(1) if self.one_by_one else (array,))]
+        runs = [[outputs] if isinstance(outputs, Tensor) else list(outputs) for outputs in runs]
+        return runs[0] if len(runs) == 1 else [torch.cat(parts) for parts in zip(*runs, strict=True)]

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from cloak_core.detectors.classes import confidence_of
-from cloak_core.detectors.onnx_family.layouts import Layout
-from cloak_core.detectors.runtimes.layouts import OPEN_MODEL_ZOO, SsdHead
-from cloak_core.detectors.runtimes.model import RuntimeModel, image_size
+from cloak_core.detectors.classes import confidence_of, read_description
+from cloak_core.detectors.onnx_family.decoders import SsdHead
+from cloak_core.detectors.onnx_family.detector import OnnxDetector, file_and_layout, load_black_box
+from cloak_core.detectors.onnx_family.layouts import OPEN_MODEL_ZOO, Layout
+from cloak_core.detectors.onnx_family.model_file import NetworkFile, image_input
+from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import read_bytes
@@ -21,16 +22,16 @@ from cloak_core.files.reading import read_bytes
 if TYPE_CHECKING:
     import openvino
 
-PACKAGE = "openvino"
 TELEMETRY = "openvino_telemetry"
 
 
-def read_openvino(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
-    """Read an IR and compile it for one image of the size wanted (None: its own).
+def load_openvino(request: Request) -> OnnxDetector:
+    """Load `openvino:FILE.xml[:LAYOUT]`, an IR compiled for one image, as a black box.
 
     Where it ends in SSD's DetectionOutput, that layer is left out and its inputs are the outputs: all boxes, before any
-    threshold. InputError: no such file, one that OpenVINO does not read, an input that is no RGB image.
+    threshold. InputError: no such file, one that OpenVINO does not read, what `assemble` refuses.
     """
+    path, _ = file_and_layout(request)
     with without_telemetry():
         import openvino
 
@@ -43,7 +44,7 @@ def read_openvino(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
     if len(network.inputs) != 1:
         raise InputError(f"{path}: has {len(network.inputs)} inputs, not one of images")
     shape = [None if d.is_dynamic else d.get_length() for d in network.input().get_partial_shape()]
-    channels_last, size = image_size(shape, wanted, path)
+    channels_last, size = image_input(shape, request.input_size, None, path)
     head = None
     try:
         network.reshape([1, *size, 3] if channels_last else [1, 3, *size])
@@ -52,23 +53,24 @@ def read_openvino(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
         compiled = core.compile_model(network, "CPU", threads | {"NUM_STREAMS": 1})
     except Exception as error:
         raise InputError(f"{path}: OpenVINO cannot run it at {size[0]}x{size[1]} ({_words(error)})") from None
-    request = compiled.create_infer_request()
+    inference = compiled.create_infer_request()
 
     def run(image: np.ndarray) -> list[np.ndarray]:
-        request.infer([image])
-        return [np.array(request.get_output_tensor(k).data, np.float32) for k in range(len(compiled.outputs))]
+        inference.infer([image])
+        return [np.array(inference.get_output_tensor(k).data, np.float32) for k in range(len(compiled.outputs))]
 
-    return RuntimeModel(
-        path,
-        sha256_arrays(*(np.frombuffer(part, np.uint8) for part in parts)),
-        run,
-        channels_last,
-        size,
-        tuple(next(iter(output.names), f"output {k}") for k, output in enumerate(compiled.outputs)),
+    file = NetworkFile(
+        path=path,
+        digest=sha256_arrays(*(np.frombuffer(part, np.uint8) for part in parts)),
+        channels_last=channels_last,
+        size=size,
+        output_names=tuple(next(iter(output.names), f"output {k}") for k, output in enumerate(compiled.outputs)),
         names=tuple(_said(network, "labels").split()) or None,
         confidence=confidence_of({"confidence": _said(network, "confidence_threshold")}),
         layout=None if head is None else ("ssd-head", Layout(head, 0.5, pixels=OPEN_MODEL_ZOO)),
+        described=read_description(path),
     )
+    return load_black_box(request, file, run, "openvino")
 
 
 def _before_suppression(network: openvino.Model) -> tuple[openvino.Model, SsdHead | None]:

@@ -5,29 +5,31 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import torch
 
+from cloak_core.detectors.classes import read_description
+from cloak_core.detectors.onnx_family.detector import OnnxDetector, file_and_layout, load_black_box
+from cloak_core.detectors.onnx_family.layouts import SYMMETRIC
+from cloak_core.detectors.onnx_family.model_file import NetworkFile, image_input
 from cloak_core.detectors.pixels import PixelFormat
-from cloak_core.detectors.runtimes.layouts import SYMMETRIC
-from cloak_core.detectors.runtimes.model import RuntimeModel, image_size
+from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import read_bytes
 
-PACKAGE = "ai_edge_litert"
 LABELS_BYTES = 1 << 20
 
 
-def read_tflite(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
-    """Read a file for one image of the size wanted (None: its own); integers outside become real numbers.
+def load_tflite(request: Request) -> OnnxDetector:
+    """Load `tflite:FILE.tflite[:LAYOUT]` for one image, as a black box; integers outside become real numbers.
 
-    InputError: no such file, one that LiteRT does not read, an input that is no RGB image.
+    InputError: no such file, one that LiteRT does not read, what `assemble` refuses.
     """
     from ai_edge_litert.interpreter import Interpreter
 
+    path, _ = file_and_layout(request)
     data = read_bytes(path)
     try:
         interpreter = Interpreter(model_content=data, num_threads=torch.get_num_threads())
@@ -37,7 +39,7 @@ def read_tflite(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
     if len(inputs) != 1:
         raise InputError(f"{path}: has {len(inputs)} inputs, not one of images")
     shape = [None if extent < 0 else int(extent) for extent in inputs[0]["shape_signature"]]
-    channels_last, size = image_size(shape, wanted, path)
+    channels_last, size = image_input(shape, request.input_size, None, path)
     try:
         interpreter.resize_tensor_input(inputs[0]["index"], [1, *size, 3] if channels_last else [1, 3, *size])
         interpreter.allocate_tensors()
@@ -50,16 +52,17 @@ def read_tflite(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
         interpreter.invoke()
         return [_real(interpreter.get_tensor(output["index"]), output) for output in outputs]
 
-    return RuntimeModel(
-        path,
-        sha256_arrays(np.frombuffer(data, np.uint8)),
-        run,
-        channels_last,
-        size,
-        tuple(str(output["name"]) for output in outputs),
+    file = NetworkFile(
+        path=path,
+        digest=sha256_arrays(np.frombuffer(data, np.uint8)),
+        channels_last=channels_last,
+        size=size,
+        output_names=tuple(str(output["name"]) for output in outputs),
         names=_labels(data),
         pixels=_pixels(given),
+        described=read_description(path),
     )
+    return load_black_box(request, file, run, "ai-edge-litert")
 
 
 def _quantised(image: np.ndarray, given: Mapping) -> np.ndarray:

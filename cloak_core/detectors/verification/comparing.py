@@ -60,7 +60,7 @@ def apart(some: Detections, others: Detections, size: tuple[int, int]) -> Apart:
 
 def _rows_apart(a: Float[Tensor, "N C"], b: Float[Tensor, "M C"]) -> Apart:
     if a.shape == b.shape:
-        straight = _worst((a - b).abs())
+        straight = largest_difference(a, b)
         if straight.same:
             return straight
     a, b = a[a[:, 4] > FAINT], b[b[:, 4] > FAINT]
@@ -95,10 +95,12 @@ def _nearest(rows: Float[Tensor, "N C"], others: Float[Tensor, "M C"]) -> Apart:
     """Compare each row with the most alike of the others."""
     limits = torch.tensor([BOXES_PX] * 4 + [SCORES] * (rows.shape[1] - 4), dtype=rows.dtype)
     index = [(((row - others).abs() / limits).amax(dim=1)).argmin() for row in rows]
-    return _worst((rows - others[torch.stack(index)]).abs())
+    return largest_difference(rows, others[torch.stack(index)])
 
 
-def _worst(differences: Float[Tensor, "N C"]) -> Apart:
+def largest_difference(a: Float[Tensor, "N C"], b: Float[Tensor, "N C"]) -> Apart:
+    """Compare rows of boxes and scores one by one; infinite where a number is not finite."""
+    differences = (a - b).abs()
     if not len(differences):
         return Apart(0.0, 0.0)
     if not bool(differences.isfinite().all()):
