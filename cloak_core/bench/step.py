@@ -23,7 +23,7 @@ from cloak_core.core.losses import disappearance
 from cloak_core.core.objective import Objective, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.settings import TrainSettings, make_settings
-from cloak_core.core.technique import Setup, Techniques
+from cloak_core.core.technique import Setup
 from cloak_core.core.train import make_batcher
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
@@ -35,6 +35,7 @@ from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.pace import in_turn
 from cloak_core.studies.trainings.run_record import Training
 from cloak_core.studies.trainings.training import make_material
+from cloak_core.techniques import build_techniques
 
 _log = logging.getLogger(__name__)
 
@@ -102,8 +103,7 @@ class Bench:
         self.pattern = pattern_of(settings.pattern, bodies, self.logo)
         material = make_material(Training(settings, bodies, self.logo, (), backgrounds, people), self.device)
         self.is_fresh = material.source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
-        techniques = Techniques.built(Setup(settings, self.pattern, [], self.device))
-        self.batcher = make_batcher(settings, material, self.pattern, self.device, techniques)
+        self.batcher = make_batcher(settings, material, self.pattern, self.device)
         plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
         views = plan.members * plan.directions * plan.outfit_count
         # Every view that is kept is to be met before the clock runs: drawn at random, all of n are met after about
@@ -115,7 +115,7 @@ class Bench:
     def measure(self, detectors: Sequence[Detector], repeats: int) -> dict:
         """Time steps against these detectors together, and their floor: each alone on the ready batch."""
         settings = self.settings
-        techniques = Techniques.built(Setup(settings, self.pattern, detectors, self.device))
+        techniques = build_techniques(Setup(settings, self.pattern, detectors, self.device))
         objective = Objective(settings, self.pattern, detectors, self.device, techniques)
         grey = torch.full((self.pattern.count, 3), 0.5, device=self.device)
         optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.pattern)

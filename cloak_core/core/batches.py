@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from cloak_core.core.distortions import Distortion, cut_out
 from cloak_core.core.images import ImageSet, dressed, is_alone, other_boxes
 from cloak_core.core.paint import Canvas, true_boxes
 from cloak_core.core.pattern import Pattern
@@ -17,7 +18,6 @@ from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.components import AugmentationSettings
 from cloak_core.core.settings.values import Range
 from cloak_core.core.source import Backdrops
-from cloak_core.core.technique import NO_TECHNIQUES, Distortions, Techniques
 from cloak_core.core.visibility.threads import MOST_WORKERS, torch_threads, workers
 
 
@@ -30,7 +30,7 @@ class Batch:
     canvas: Canvas | None
     """None there."""
     on_logo: "LogoChange | None"
-    distortion: Distortions
+    distortion: Distortion
     hidden: Bool[Tensor, "B L"] | None = None
     """Faces of the logo that are grey in an image; None: none."""
     bodies: Float[Tensor, "B 4"] | None = None
@@ -78,7 +78,6 @@ class Batcher:
         backgrounds: Backdrops,
         pattern: Pattern,
         device: torch.device,
-        techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
         """Make what builds batches of the sampler's draws."""
         self.sampler = sampler
@@ -87,7 +86,6 @@ class Batcher:
         self.images = ImageSet(sampler.source, backgrounds, (self.size, self.size), device)
         self.pattern = pattern
         self.device = device
-        self.techniques = techniques
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """Build the images of `step`, or one process's part of them."""
@@ -95,14 +93,14 @@ class Batcher:
         settings, size = self.augmentation, self.size
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
-            return Batch(empty, None, None, Distortions())
+            return Batch(empty, None, None, Distortion())
         views = self.images.make_views(draws.views(), self.pattern, self._workers())
         rows = self.images.backdrop(views, draws.background)
         # A photograph is moved by the part of it that is shown.
         alone = is_alone(views)
         shifts = torch.where(alone[:, None], torch.from_numpy(draws.shift), 0).to(self.device, non_blocking=True)
-        distorted = self.techniques.distortions(draws.seed, self.device)
-        hidden = self.techniques.hidden(draws.seed)
+        distorted = Distortion.draw(draws.seed, settings, self.device)
+        hidden = cut_out(draws.seed, settings.cutout, self.pattern.centres) if settings.cutout else None
         return Batch(
             empty,
             dressed(views, self.pattern, rows, shifts),
@@ -121,7 +119,7 @@ class Batcher:
             return 1
         return workers(source.works_on) if self.device.type == "cpu" else min(_cores(), MOST_WORKERS)
 
-    def _company(self, others: Float[Tensor, "B K 4"], alone: Bool[Tensor, " B"], distorted: Distortions) -> Company:
+    def _company(self, others: Float[Tensor, "B K 4"], alone: Bool[Tensor, " B"], distorted: Distortion) -> Company:
         others = others.to(self.device)
         moved = [distorted.boxes(others[:, k], self.size, self.size) for k in range(others.shape[1])]
         return Company(torch.stack(moved, dim=1) if moved else others, alone.to(self.device))

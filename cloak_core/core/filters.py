@@ -1,6 +1,6 @@
 """What cameras and files do to pictures, differentiably: blur, JPEG's loss, a crop or a margin.
 
-Training distorts its images by them (`techniques`), and a defence may stand before a detector with the same
+Training distorts its images by them (`core.distortions`), and a defence may stand before a detector with the same
 (`detectors.defended`).
 """
 
@@ -36,7 +36,7 @@ TO_YCC = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -
 def windowed(images: Float[Tensor, "B 3 H W"], window: Float[Tensor, "B 3"]) -> Float[Tensor, "B 3 H W"]:
     """Show what lies in each image's window, bilinearly, at the same size; mid-grey beyond the edges.
 
-    window: side (below 1 a crop, above 1 a margin) and centre (x, y), see `techniques.window`.
+    window: side (below 1 a crop, above 1 a margin) and centre (x, y), see `core.distortions`.
     """
     place = torch.zeros(len(images), 2, 3, dtype=images.dtype, device=images.device)
     place[:, 0, 0] = place[:, 1, 1] = window[:, 0]

@@ -49,7 +49,7 @@ class Objective:
         self.run = settings.run
         self.detectors = detectors
         self.techniques = techniques
-        self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)
+        self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed)
         self.edges = torch.as_tensor(pattern.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(pattern.edge_lengths, dtype=torch.float32, device=device)
 

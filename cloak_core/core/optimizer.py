@@ -55,20 +55,15 @@ class ColorOptimizer:
         self.settings = settings
         self._coloring = Coloring(techniques, pattern, settings.gamut == "sigmoid")
         self._parameter = self._coloring.begin(initial).requires_grad_()
-        movers = [technique for technique in techniques.at("move") if technique.choice[1] == settings.optimizer]
-        if movers:
-            self._move = movers[0].move
-            self._names = set(movers[0].memory)
-        elif settings.optimizer == "adam":
+        if settings.optimizer == "adam":
             self._move = _adam
             self._names = {"exp_avg", "exp_avg_sq"}
-        elif settings.optimizer == "sgd":
+        elif settings.optimizer == "mi":
+            self._move = partial(_mi, momentum=settings.momentum)
+            self._names = {"momentum_buffer"}
+        else:
             self._move = partial(_sgd, momentum=settings.momentum)
             self._names = {"momentum_buffer"} if settings.momentum else set()
-        else:
-            raise ValueError(
-                f"optimizer {settings.optimizer}: the technique that moves colours so is not among those given"
-            )
         self._state: dict[str, Tensor] = {}
         self._project()
 
@@ -137,6 +132,14 @@ def _sgd(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: floa
             state["momentum_buffer"] = gradient.clone()
         gradient = state["momentum_buffer"]
     parameter.add_(gradient, alpha=-lr)
+
+
+def _mi(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float, momentum: float) -> None:
+    """Move every colour by `lr`, to the side on which a momentum of normalised gradients lies (MI-FGSM)."""
+    gradient = gradient / gradient.abs().mean().clamp_min(torch.finfo(gradient.dtype).tiny)
+    kept = state.setdefault("momentum_buffer", torch.zeros_like(parameter))
+    kept.mul_(momentum).add_(gradient)
+    parameter.add_(kept.sign(), alpha=-lr)
 
 
 def _adam(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float) -> None:

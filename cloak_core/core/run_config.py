@@ -4,15 +4,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from cloak_core.core.settings import settings_from_record, settings_record
-from cloak_core.core.technique import discovered
 from cloak_core.files.columns import read_columns, write_columns
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import UNKNOWN
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 
-FILES = {setting: name for technique in discovered() for setting, name in technique.files}
-"""Settings of techniques that name files, and where a configuration has their content."""
+FILES = {"init": "start", "near": "near", "palette": "palette", "profile": "profile"}
+"""Settings that name files, and where a configuration has their content (None: no file)."""
 FREE_SETTINGS = (
     "checkpoint_every",
     "preview_every",

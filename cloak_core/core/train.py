@@ -71,7 +71,7 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
         # By name: who reads how training goes need not read how searching does.
         search = importlib.import_module("cloak_core.core.black_box")
     drawn = settings if search is None else search.search_settings(settings, len(job.detectors))
-    batcher = make_batcher(drawn, job.trained, pattern, device, techniques)
+    batcher = make_batcher(drawn, job.trained, pattern, device)
     first = torch.from_numpy(job.first).to(device)
     with contextlib.ExitStack() as stack:
 
@@ -96,12 +96,10 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
     return result
 
 
-def make_batcher(
-    settings: TrainSettings, material: Material, pattern: Pattern, device: torch.device, techniques: Techniques
-) -> Batcher:
+def make_batcher(settings: TrainSettings, material: Material, pattern: Pattern, device: torch.device) -> Batcher:
     """Make what draws and builds a run's batches."""
     sampler = Sampler(settings, material.source, len(material.backgrounds))
-    return Batcher(settings, sampler, material.backgrounds, pattern, device, techniques)
+    return Batcher(settings, sampler, material.backgrounds, pattern, device)
 
 
 def _require_plain(job: Job, world: World) -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from cloak_core.core.batches import Batch, Batcher, Prefetcher
 from cloak_core.core.detector.scoring import max_person_score
+from cloak_core.core.ensemble import sureness
 from cloak_core.core.events import OnEvent, read_events
 from cloak_core.core.loop import Loop, TrainingError
 from cloak_core.core.objective import Objective, Step, StepFigures, gradient_step
@@ -147,17 +148,18 @@ class TrainingLoop(Loop):
         return {"lr": lr}
 
     def _watch(self, step: Step) -> None:
-        """Tell techniques how surely each detector found a person in the batch's images, every process's."""
-        device = self.batcher.device
-        for technique in self.techniques.at("observe"):
-            asked = self.objective.ensemble.asked(self.step)
-            total = torch.zeros(len(asked), dtype=torch.float64, device=device)
-            for place, number in enumerate(asked):
-                if number in step.detections:
-                    point = self.objective.detectors[number].operating_point
-                    total[place] = technique.level(max_person_score(step.detections[number]).double(), point).sum()
-            mean = (self.world.sum(total) / self.sampler.images_of(self.step)).tolist()
-            technique.observe(dict(zip(asked, mean, strict=True)))
+        """Tell an adaptive ensemble how surely each detector found a person in the batch's images, every process's."""
+        ensemble = self.objective.ensemble
+        if not ensemble.is_adaptive:
+            return
+        asked = ensemble.asked(self.step)
+        total = torch.zeros(len(asked), dtype=torch.float64, device=self.batcher.device)
+        for place, number in enumerate(asked):
+            if number in step.detections:
+                point = self.objective.detectors[number].operating_point
+                total[place] = sureness(max_person_score(step.detections[number]).double(), point).sum()
+        mean = (self.world.sum(total) / self.sampler.images_of(self.step)).tolist()
+        ensemble.observe(dict(zip(asked, mean, strict=True)))
 
     def _refuse(self, step: Step) -> None:
         names = [
@@ -183,12 +185,13 @@ class TrainingLoop(Loop):
 
     def state(self) -> dict[str, Tensor]:
         """See `Loop`."""
-        return self.optimizer.state() | self.techniques.state()
+        return self.optimizer.state() | self.techniques.state() | self.objective.ensemble.state()
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         """See `Loop`."""
         self.optimizer.load(tensors)
         self.techniques.load(tensors)
+        self.objective.ensemble.load(tensors)
 
     def _write_snapshot(self) -> None:
         colors = self.optimizer.finished()

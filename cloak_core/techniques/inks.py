@@ -12,35 +12,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
-from cloak_core.core.settings.values import Bounds
 from cloak_core.core.technique import Setup, Technique
-from cloak_core.files.lazy import Lazy
+from cloak_core.techniques.printability import palette_of
 
-torch = Lazy("torch")
 WARM, COLD = 0.2, 0.01
 """The temperature's ends, in squared units of colour."""
 FREE_UNTIL, HARD_FROM = 0.25, 0.6
 """Shares of the run: before the one colours are free, after the other each patch has one ink."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class InksSettings:
-    colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
-    """End with at most this many distinct colours (inks, yarns, cloths): chosen from --palette, or learnt without one.
-    None gives each face its own colour."""
-
-
 class Inks(Technique):
     """The colours there are: given ones, or learnt, or chosen among given ones, at most `most`."""
 
-    group = "pattern"
-    settings = InksSettings
     is_exact = bars_search = True
 
     def __init__(self, most: int, fixed: Float[torch.Tensor, "P 3"] | None = None) -> None:
@@ -53,8 +41,6 @@ class Inks(Technique):
 
     @classmethod
     def build(cls, setup: Setup) -> Inks | None:
-        from cloak_core.techniques.printability import palette_of
-
         most = setup.settings.pattern.colors_at_most
         palette = palette_of(setup)
         if most is None:
@@ -125,6 +111,3 @@ def far_apart(colors: Float[np.ndarray, "P 3"], count: int) -> Float[np.ndarray,
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, ((colors - colors[chosen[-1]]) ** 2).sum(axis=1))
     return colors[chosen]
-
-
-TECHNIQUE = Inks

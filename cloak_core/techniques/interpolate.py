@@ -8,41 +8,18 @@ the beginning is a print that already hides people from many detectors, and the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated
 
+import torch
 from jaxtyping import Float
 
-from cloak_core.core.prints import PRINTS
-from cloak_core.core.settings.values import Bounds
 from cloak_core.core.technique import Setup, Technique
-from cloak_core.files.errors import InputError
-from cloak_core.files.lazy import Lazy
 
-torch = Lazy("torch")
 _STATE = "interpolate.first"
-
-
-@dataclass(frozen=True, kw_only=True)
-class InterpolateSettings:
-    initial_share: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Share of the first colours in what is written: 0 writes what training found, 0.5 the mean of both (WiSE-FT,
-    Wortsman et al., CVPR 2022). Where training begins with a print, 0.5 hides more people from detectors that it never
-    saw. Needs a print (--initial) or --init."""
-
-    def check(self) -> None:
-        """Check that values go together. InputError: they do not."""
-        if self.initial_share and self.initial not in PRINTS and self.init is None:
-            hint = f"with --initial {self.initial} give --initial-share 0"
-            raise InputError(f"--initial-share: keeps a share of a print or of --init; {hint}")
 
 
 class Interpolate(Technique):
     """Mixes the first colours into the last ones, when they are written. Training itself sees none of it."""
 
-    group = "optimization"
-    settings = InterpolateSettings
-    order = -1  # inks are chosen for what is written
     bars_search = True
 
     def __init__(self, share: float) -> None:
@@ -72,6 +49,3 @@ class Interpolate(Technique):
 
     def load(self, tensors: dict[str, torch.Tensor]) -> None:
         self._first = tensors[_STATE]
-
-
-TECHNIQUE = Interpolate

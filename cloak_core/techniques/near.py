@@ -8,51 +8,26 @@ has them, and the difference is spent where it hides most.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
-from cloak_core.core.settings.values import Positive
 from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.lazy import Lazy
+from cloak_core.patterns.garments import garment_colors
 from cloak_core.sources.bodies.logos.color_difference import de2000, lab
+from cloak_core.zoo.starting import read_start
 
-torch = Lazy("torch")
 HALVINGS = 12
 """Of the way to the garment's colour, until a face is near enough."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class NearSettings:
-    near: str | None = None
-    """Stay close to a garment: #rrggbb, clothing (the first outfit), camouflage (a woodland print), a picture as cloth
-    (FILE.png@tile=0.5, metres), colours of this logo (.npy), a run of it or zoo:NAME. With --pattern, to its mean in
-    each patch or square."""
-    within: Positive | None = None
-    """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
-    within_most: Positive | None = None
-    """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
-
-    def check(self) -> None:
-        """Check that values go together. InputError: they do not."""
-        if (self.near is None) != (self.within is None):
-            raise InputError("--near GARMENT and --within DE: one needs the other")
-        if self.within_most is not None and self.near is None:
-            raise InputError("--within-most: needs --near and --within")
-        if self.near is not None and self.profile is not None:
-            raise InputError("--near: says how colours are to look, --profile what comes out of a printer; give one")
 
 
 class Near(Technique):
     """A garment's colours, and how far from them all faces together may be."""
 
-    group = "pattern"
-    settings = NearSettings
-    files = (("near", "near"),)
     is_exact = bars_search = True
 
     def __init__(self, garment: Float[np.ndarray, "L 3"], mean: float, most: float) -> None:
@@ -67,9 +42,6 @@ class Near(Technique):
 
         InputError: no such garment; one of several colours where inks are counted.
         """
-        from cloak_core.patterns.garments import garment_colors
-        from cloak_core.zoo.starting import read_start
-
         settings, pattern = setup.settings.pattern, setup.pattern
         if settings.near is None:
             return None
@@ -146,6 +118,3 @@ def _threshold(far: Float[np.ndarray, " L"], total: float) -> float:
     counts = np.arange(1, len(far) + 1)
     last = np.flatnonzero(ordered > sums / counts)[-1]
     return float(sums[last] / counts[last])
-
-
-TECHNIQUE = Near

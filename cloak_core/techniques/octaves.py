@@ -9,31 +9,16 @@ Visualization", Distill, 2017).
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
-from cloak_core.core.settings.values import Bounds
+from cloak_core.core.linear import SparseMap
 from cloak_core.core.technique import Setup, Technique
-from cloak_core.files.errors import InputError
 from cloak_core.files.lazy import Lazy
 
 sparse = Lazy("scipy.sparse")
-torch = Lazy("torch")
-
-
-@dataclass(frozen=True, kw_only=True)
-class OctavesSettings:
-    octaves: Annotated[int, Bounds(1, 10)] = 1
-    """Make colours the sum of this many grids, each twice as coarse as the one before, so that large areas are found as
-    readily as single faces; 1 has the faces' own colours alone. Needs --gamut sigmoid."""
-
-    def check(self) -> None:
-        """Check that values go together. InputError: they do not."""
-        if self.octaves > 1 and self.gamut != "sigmoid":
-            raise InputError("--octaves: sums of grids leave [0, 1]; give --gamut sigmoid")
 
 
 class Octaves(Technique):
@@ -43,8 +28,6 @@ class Octaves(Technique):
     period: what repeats in every dimension (None: nothing does), into which a whole number of nodes is fitted.
     """
 
-    group = "optimization"
-    settings = OctavesSettings
     bars_search = True
 
     def __init__(
@@ -55,8 +38,6 @@ class Octaves(Technique):
         period: float | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        from cloak_core.core.linear import SparseMap
-
         weights = sparse.hstack([_grid(points, spacing * 2**k, period) for k in range(1, count)], "csr")
         self.rows = weights.shape[1]
         """Of all grids' nodes together."""
@@ -86,6 +67,3 @@ def _grid(points: np.ndarray, spacing: float, period: float | None) -> sparse.cs
     used, column = np.unique(np.concatenate(nodes), axis=0, return_inverse=True)
     rows = np.tile(np.arange(len(points)), len(nodes))
     return sparse.csr_matrix((np.concatenate(weights), (rows, column.ravel())), shape=(len(points), len(used)))
-
-
-TECHNIQUE = Octaves

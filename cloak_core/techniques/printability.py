@@ -7,39 +7,18 @@ are more than a few of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+import torch
 from jaxtyping import Float
 
-from cloak_core.core.settings.values import NotNegative
 from cloak_core.core.technique import Setup, Technique
-from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.lazy import Lazy
-
-torch = Lazy("torch")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PrintabilitySettings:
-    nps_weight: NotNegative = 0.0
-    """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
-    palette: str | None = None
-    """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
-
-    def check(self) -> None:
-        """Check that values go together. InputError: they do not."""
-        if self.nps_weight and self.palette is None:
-            raise InputError("--nps-weight: needs a --palette to measure against")
+from cloak_core.sources.bodies.logos.palette import read_palette
 
 
 class Printability(Technique):
     """Adds the mean distance to the palette to the loss."""
 
-    group = "objective"
-    settings = PrintabilitySettings
-    files = (("palette", "palette"),)
     name = "nps"
 
     def __init__(self, weight: float, palette: Float[np.ndarray, "P 3"], device: torch.device) -> None:
@@ -61,8 +40,6 @@ class Printability(Technique):
 
 def palette_of(setup: Setup) -> Float[np.ndarray, "P 3"] | None:
     """Read the palette; None where none is named. InputError: it cannot be read."""
-    from cloak_core.sources.bodies.logos.palette import read_palette
-
     file = setup.settings.objective.palette
     return None if file is None else read_palette(file)
 
@@ -80,6 +57,3 @@ def non_printability(
         nearest = palette[squares.argmin(dim=1)]
     # The root's gradient is infinite at 0; below a millionth of a colour there is none.
     return ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()
-
-
-TECHNIQUE = Printability

@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from cloak_core.core.technique import Setup, Technique
 from cloak_core.exchange.profiles import Profile, read_profile
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.lazy import Lazy
-
-torch = Lazy("torch")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProfileSettings:
-    profile: str | None = None
-    """Profile of a printer and a camera (`cloak calibrate`): train the colours as they are photographed after printing;
-    `cloak print --profile` writes the colours to send."""
 
 
 class Photographed(Technique):
     """Values are what is sent to the printer, colours what is photographed."""
 
-    group = "pattern"
-    settings = ProfileSettings
-    files = (("profile", "profile"),)
     bars_search = True
 
     def __init__(self, profile: Profile, device: torch.device | str = "cpu") -> None:
@@ -52,6 +38,3 @@ class Photographed(Technique):
 
     def content(self) -> dict[str, object]:
         return {"profile": {"sha256": sha256_arrays(self.profile.table)}}
-
-
-TECHNIQUE = Photographed

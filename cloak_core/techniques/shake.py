@@ -10,17 +10,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
+import torch
 
-from cloak_core.core.settings.values import Bounds
 from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.errors import InputError
-from cloak_core.files.lazy import Lazy
 
-torch = Lazy("torch")
 _STREAM = 0x5EA
 """Of random numbers, apart from those that draw the images."""
 _ADDITIONS = ("add", "__add__", "__radd__", "__iadd__")
@@ -30,18 +26,8 @@ _FEW_CHANNELS = 8
 """Maps with fewer are boxes and anchors being decoded, no features."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShakeSettings:
-    shake: Annotated[float, Bounds(0, 1)] = 0.0
-    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this; 0 switches
-    it off."""
-
-
 class Shake(Technique):
     """Makes a context for each detector and step in which the detector's network is another one."""
-
-    group = "surrogates"
-    settings = ShakeSettings
 
     def __init__(self, reach: float, seed: int) -> None:
         self.reach = reach
@@ -122,6 +108,3 @@ def _are_maps(one: object, other: object) -> bool:
     if not (isinstance(one, torch.Tensor) and isinstance(other, torch.Tensor)):
         return False
     return one.dim() == 4 and one.shape == other.shape and one.shape[1] >= _FEW_CHANNELS and one.is_floating_point()
-
-
-TECHNIQUE = Shake

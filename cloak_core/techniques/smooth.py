@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
-
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 
-from cloak_core.core.settings.values import Bounds
+from cloak_core.core.linear import SparseMap, offsets
 from cloak_core.core.technique import Setup, Technique
-from cloak_core.files.lazy import Lazy
-
-torch = Lazy("torch")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SmoothSettings:
-    smooth: Annotated[int, Bounds(0, 1000)] = 0
-    """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
-    frequencies are learnt; 0 gives each face its own colour."""
 
 
 class Smoothing(Technique):
@@ -30,15 +18,10 @@ class Smoothing(Technique):
     mean colour stays, and the gradient goes through the same matrix.
     """
 
-    group = "optimization"
-    settings = SmoothSettings
-
     def __init__(
         self, edges: Int[np.ndarray, "E 2"], count: int, rounds: int, device: torch.device | str = "cpu"
     ) -> None:
         """Build the matrix; edges: positions of two neighbouring faces among the `count`."""
-        from cloak_core.core.linear import SparseMap, offsets
-
         self.rounds = rounds
         pairs = np.unique(np.sort(edges, axis=1), axis=0)
         degree = np.bincount(pairs.ravel(), minlength=count)
@@ -64,6 +47,3 @@ class Smoothing(Technique):
             mean = self.once(mean)
         # Rounding may carry a mean a hair beyond what it is the mean of; the gradient passes.
         return mean + (mean.clamp(0, 1) - mean).detach()
-
-
-TECHNIQUE = Smoothing

@@ -18,6 +18,7 @@ from cloak_core.core.view import BakedView, Box, Subject, box_of
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.techniques import build_techniques
 
 SIDE = 4
 """Quads along each side of each face of the box."""
@@ -192,4 +193,4 @@ def techniques_of(
     """The techniques that the settings have on, for the front of a box."""
     bodies = bodies or box_bodies()
     pattern = pattern_of(settings.pattern, bodies, front_logo(bodies))
-    return Techniques.built(Setup(settings, pattern, detectors, torch.device("cpu")))
+    return build_techniques(Setup(settings, pattern, detectors, torch.device("cpu")))

@@ -11,9 +11,9 @@ import pytest
 from safetensors.torch import load_file
 
 from cloak_core.core.checkpoints import load_checkpoint
+from cloak_core.core.ensemble import Ensemble
 from cloak_core.core.events import read_events
 from cloak_core.exchange.colors import read_colors
-from cloak_core.techniques.adaptive import Adaptive
 from tests.core.fakes import TinyDetector
 from tests.core.test_training import run
 from tests.reliability_record import record
@@ -47,8 +47,8 @@ if os.environ["RANK"] == "1" and plan["die_at"] and os.environ["TORCHELASTIC_RES
 class Telling(training.TrainingLoop):
     def run_to_end(self, stop):
         result = super().run_to_end(stop)
-        if self.techniques:
-            save_file(self.techniques.state(), f"{out}.rank{self.world.rank}")
+        if self.objective.ensemble.is_adaptive:
+            save_file(self.objective.ensemble.state(), f"{out}.rank{self.world.rank}")
         return result
 train.TrainingLoop = Telling
 try:
@@ -122,5 +122,5 @@ def test_processes_agree_about_an_adaptive_ensemble_and_resume_to_the_same_bits(
     one = run(tmp_path / "one", detectors, batch=5, threads=1, **scheme)
     assert np.abs(two - one.colors).max() < 1e-5
     # What was found decides who counts: without it the same run goes elsewhere.
-    monkeypatch.setattr(Adaptive, "observe", lambda *args: None)
+    monkeypatch.setattr(Ensemble, "observe", lambda *args: None)
     assert np.abs(run(tmp_path / "blind", detectors, batch=5, threads=1, **scheme).colors - one.colors).max() > 1e-3

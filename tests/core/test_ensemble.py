@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from cloak_core.core.detector.protocol import Detections, join_detections
-from cloak_core.core.ensemble import Ensemble
+from cloak_core.core.ensemble import Ensemble, sureness
 from cloak_core.core.losses import person_loss
 from cloak_core.core.objective import Objective
 from cloak_core.files.errors import InputError
@@ -176,3 +176,38 @@ def test_runs_with_every_technique_resume_to_the_same_bits(tmp_path):
     rest = run(tmp_path / "part", detectors, resume=True, **changes)
     assert np.array_equal(whole.colors, rest.colors)
     assert not np.array_equal(whole.colors, run(tmp_path / "plain", detectors, preview_every=0).colors)
+
+
+def adaptive(count: int, **changes: object) -> Ensemble:
+    return Ensemble(tiny_settings(ensemble="adaptive", **changes).objective, count)
+
+
+def test_a_person_is_half_sure_at_the_operating_point():
+    scores = torch.tensor([0.0, 0.25, 0.6, 1.0])
+    assert sureness(scores, 0.25).tolist() == pytest.approx([0, 0.5, 9 / 11, 1])
+    assert sureness(scores, 0.6).tolist() == pytest.approx([0, 2 / 11, 0.5, 1])
+
+
+def test_an_adaptive_ensemble_weighs_most_what_still_sees():
+    ensemble, other = adaptive(3), adaptive(3)
+    assert ensemble.weights.tolist() == pytest.approx([1 / 3] * 3)
+    for _ in range(60):
+        ensemble.observe({0: 0.0, 1: 0.2, 2: 1.0})
+    assert ensemble.weights.sum() == pytest.approx(1)
+    assert ensemble.weights[2] > 0.9 and ensemble.weights[1] > ensemble.weights[0] > 0
+    assert ensemble.weight(2, asked=3) == pytest.approx(ensemble.weights[2])
+    other.load(ensemble.state())
+    assert np.array_equal(other.weights, ensemble.weights)
+    with pytest.raises(ValueError, match="other detectors"):
+        adaptive(2).load(ensemble.state())
+
+
+def test_an_adaptive_subset_asks_those_more_often_that_still_see():
+    ensemble = adaptive(3, detectors_per_step=1)
+    count = lambda: np.bincount([ensemble.asked(step)[0] for step in range(300)], minlength=3)
+    assert count().min() > 70
+    for _ in range(40):
+        ensemble.observe({0: 0.0, 1: 0.9, 2: 0.0})
+    drawn = count()
+    assert drawn[1] > 150 and drawn[[0, 2]].min() > 30
+    assert ensemble.weight(1, asked=1) == pytest.approx(1)

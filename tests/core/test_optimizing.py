@@ -114,3 +114,14 @@ def _pushed(optimizer: ColorOptimizer, gradient: torch.Tensor, lr: float = 0.1) 
     (optimizer.colors() * gradient).sum().backward()
     optimizer.update(lr)
     return optimizer.colors().detach().clone()
+
+
+def test_mi_steps_go_along_the_signs_of_normalised_gradients_with_momentum():
+    settings = make_settings("best", optimizer="mi", momentum=0.5).optimization
+    optimizer, other = (ColorOptimizer(settings, torch.full((2, 3), 0.5)) for _ in range(2))
+    large, small = torch.tensor([[1000.0] * 3, [-1000.0] * 3]), torch.tensor([[-1e-3] * 3, [1e-3] * 3])
+    torch.testing.assert_close(_pushed(optimizer, large), 0.5 - 0.1 * large.sign())
+    # The second gradient is as long as the first, whatever its size, and outweighs half of it.
+    torch.testing.assert_close(_pushed(optimizer, small), torch.full((2, 3), 0.5))
+    other.load(optimizer.state())
+    assert torch.equal(_pushed(other, large), _pushed(optimizer, large))

@@ -16,7 +16,6 @@ from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.groups import GroupPattern
 from cloak_core.techniques.inks import FREE_UNTIL, HARD_FROM, Inks, assigned, far_apart
-from cloak_core.techniques.momentum_iterative import MomentumIterative
 from cloak_core.techniques.profile import Photographed
 from tests.core.fakes import box_bodies
 from tests.core.test_training import run
@@ -60,7 +59,7 @@ def test_every_optimiser_finds_the_two_colours_that_are_wanted(optimizer, gamut)
     """Six faces, of which each wants red or blue: learnt inks come to these."""
     wanted = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])[[0, 0, 1, 0, 1, 1]]
     settings = make_settings("best", optimizer=optimizer, gamut=gamut).optimization
-    colors = ColorOptimizer(settings, GREY, Techniques([Inks(2), MomentumIterative(0.0)]))
+    colors = ColorOptimizer(settings, GREY, Techniques([Inks(2)]))
     lr = {"sgd": 2.0 if gamut == "sigmoid" else 0.2, "adam": 0.05, "mi": 0.02}[optimizer]
     for step in range(80):
         colors.reach(step, 80)

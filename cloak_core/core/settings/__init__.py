@@ -219,9 +219,8 @@ def check_settings(settings: object) -> None:
         for bounds in getattr(kind, "__metadata__", ()):
             if isinstance(bounds, Bounds) and value not in bounds:
                 raise InputError(f"{option(name)}: {value} is not in {bounds}")
-    for part in reversed(type(settings).__mro__):
-        if "check" in vars(part):
-            part.check(settings)
+    if hasattr(settings, "check"):
+        settings.check()
 
 
 @cache

@@ -1,7 +1,6 @@
 """The settings of training's components, with their ranges and their help.
 
-Every field is an option of `cloak train` by its name; the string below it is its help. The settings of techniques
-join those of a component (`core.technique`).
+Every field is an option of `cloak train` by its name; the string below it is its help.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from typing import Annotated, Literal
 from cloak_core.core.cameras import Camera
 from cloak_core.core.prints import PRINTS
 from cloak_core.core.settings.values import Angles, Azimuths, Bounds, NotNegative, Positive, Range
-from cloak_core.core.technique import choices, with_techniques
 from cloak_core.core.visibility.settings import RenderOptions
 from cloak_core.files.errors import InputError
 
@@ -95,7 +93,6 @@ class ViewSettings(RenderOptions):
             raise InputError("--elevation-jitter: would carry the camera over the pole")
 
 
-@with_techniques("augmentation")
 @dataclass(frozen=True, kw_only=True)
 class AugmentationSettings:
     """What makes every image another one."""
@@ -110,15 +107,23 @@ class AugmentationSettings:
     """Range of what is added to the colours; 0 switches it off."""
     noise: Annotated[float, Bounds(0, 1)] = 0.1
     """Amplitude of uniform noise on the colours."""
+    cutout: Annotated[float, Bounds(0, 1)] = 0.0
+    """Paint up to this share of the logo's faces grey in each image, around one face, so that no colour depends on the
+    others; 0 switches it off."""
+    crop: Annotated[float, Bounds(0, 0.9)] = 0.0
+    """Cut away up to this share of the finished image's width and height, and enlarge the rest."""
+    pad: Annotated[float, Bounds(0, 0.9)] = 0.0
+    """Shrink the finished image into a grey margin of up to this share of the width and height. With --crop, too, each
+    image gets one of the two."""
+    blur: Annotated[float, Bounds(0, 2)] = 0.0
+    """Baseline (EOT, Athalye et al., ICML 2018): blur the finished image by a Gaussian of at most this standard
+    deviation, pixels; 0 switches it off."""
 
 
 Loss = Literal["score", "objectness", "log", "margin"]
 Hide = Literal["person", "everything"]
-EnsembleKind = Literal[("mean", *choices("ensemble"))]
-OptimizerKind = Literal[("sgd", "adam", *choices("optimizer"))]
 
 
-@with_techniques("objective")
 @dataclass(frozen=True, kw_only=True)
 class LossSettings:
     """What training minimises."""
@@ -132,7 +137,7 @@ class LossSettings:
     margin: NotNegative = 1.0
     """For --loss margin: logits below the operating point at which half of the gradient is left. A larger margin hides
     from more of the detectors that training never saw."""
-    ensemble: EnsembleKind = "mean"
+    ensemble: Literal["mean", "adaptive"] = "mean"
     """How the losses of several detectors are combined: their mean, or adaptive, by how surely each detector found a
     person lately."""
     detectors_per_step: Annotated[int | None, Bounds(1, 4096)] = None
@@ -140,9 +145,17 @@ class LossSettings:
     tv_weight: NotNegative = 2.5
     """Weight of total variation: the sum over inner edges of length (metres) times colour difference, divided by the
     number of the logo's faces."""
+    nps_weight: NotNegative = 0.0
+    """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
+    palette: str | None = None
+    """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if self.nps_weight and self.palette is None:
+            raise InputError("--nps-weight: needs a --palette to measure against")
 
 
-@with_techniques("pattern")
 @dataclass(frozen=True, kw_only=True)
 class PatternSettings:
     """Which colours there may be, and how finely they may change."""
@@ -154,9 +167,31 @@ class PatternSettings:
     """Diameter of the smallest patch, centimetres along the body in the first pose."""
     tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
     """For --pattern tile: width and height of the cloth that repeats, centimetres."""
+    colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
+    """End with at most this many distinct colours (inks, yarns, cloths): chosen from --palette, or learnt without one.
+    None gives each face its own colour."""
+    near: str | None = None
+    """Stay close to a garment: #rrggbb, clothing (the first outfit), camouflage (a woodland print), a picture as cloth
+    (FILE.png@tile=0.5, metres), colours of this logo (.npy), a run of it or zoo:NAME. With --pattern, to its mean in
+    each patch or square."""
+    within: Positive | None = None
+    """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
+    within_most: Positive | None = None
+    """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
+    profile: str | None = None
+    """Profile of a printer and a camera (`cloak calibrate`): train the colours as they are photographed after printing;
+    `cloak print --profile` writes the colours to send."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if (self.near is None) != (self.within is None):
+            raise InputError("--near GARMENT and --within DE: one needs the other")
+        if self.within_most is not None and self.near is None:
+            raise InputError("--within-most: needs --near and --within")
+        if self.near is not None and self.profile is not None:
+            raise InputError("--near: says how colours are to look, --profile what comes out of a printer; give one")
 
 
-@with_techniques("surrogates")
 @dataclass(frozen=True, kw_only=True)
 class SurrogateSettings:
     """What makes many of each detector, so that colours do not hang on one network's peculiarities.
@@ -164,13 +199,16 @@ class SurrogateSettings:
     Drawn anew for each image from (seed, step); the detector itself stays as it is.
     """
 
+    shake: Annotated[float, Bounds(0, 1)] = 0.0
+    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this; 0 switches
+    it off."""
 
-@with_techniques("optimization")
+
 @dataclass(frozen=True, kw_only=True)
 class OptimizerSettings:
     """How the colours begin and move."""
 
-    optimizer: OptimizerKind = "sgd"
+    optimizer: Literal["sgd", "adam", "mi"] = "sgd"
     """SGD, Adam, or the baseline mi (MI-FGSM, Dong et al., CVPR 2018): sign steps along a momentum of normalised
     gradients."""
     lr: Positive = 0.1
@@ -188,11 +226,29 @@ class OptimizerSettings:
     front and back, which helps against detectors of many classes; or a plain print that repeats every 25 cm, which
     helps a cloth (--pattern tile), by its name: balls against detectors of many classes, crowd (people) against those
     that know no fruit."""
+    init: str | None = None
+    """Begin with these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
+    transfer`)."""
+    initial_share: Annotated[float, Bounds(0, 1, "[)")] = 0.0
+    """Share of the first colours in what is written: 0 writes what training found, 0.5 the mean of both (WiSE-FT,
+    Wortsman et al., CVPR 2022). Where training begins with a print, 0.5 hides more people from detectors that it never
+    saw. Needs a print (--initial) or --init."""
+    octaves: Annotated[int, Bounds(1, 10)] = 1
+    """Make colours the sum of this many grids, each twice as coarse as the one before, so that large areas are found as
+    readily as single faces; 1 has the faces' own colours alone. Needs --gamut sigmoid."""
+    smooth: Annotated[int, Bounds(0, 1000)] = 0
+    """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
+    frequencies are learnt; 0 gives each face its own colour."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
         if self.optimizer == "adam" and self.momentum:
             raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
+        if self.initial_share and self.initial not in PRINTS and self.init is None:
+            hint = f"with --initial {self.initial} give --initial-share 0"
+            raise InputError(f"--initial-share: keeps a share of a print or of --init; {hint}")
+        if self.octaves > 1 and self.gamut != "sigmoid":
+            raise InputError("--octaves: sums of grids leave [0, 1]; give --gamut sigmoid")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,8 @@ import torch
 from cloak_core import __version__
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.logo import Logo
+from cloak_core.core.run_config import FILES
 from cloak_core.core.settings import TrainSettings, settings_record
-from cloak_core.core.technique import NO_TECHNIQUES
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
@@ -41,7 +41,7 @@ class Training:
 def run_config(training: Training, processes: int = 1, files: Mapping[str, object] | None = None) -> dict:
     """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran.
 
-    files: content of the files that techniques read, by the setting's name.
+    files: content of the files that settings name (`run_config.FILES`).
     """
     settings, logo = training.settings, training.logo
     return {
@@ -57,7 +57,7 @@ def run_config(training: Training, processes: int = 1, files: Mapping[str, objec
         "detectors": [_detector(detector) for detector in training.detectors],
         "backgrounds": _backgrounds(training.backgrounds),
         "people": _people(training.people),
-        **(NO_TECHNIQUES.content() if files is None else files),
+        **(dict.fromkeys(FILES.values()) | dict(files or {})),
         "query_prior": [_detector(detector) for detector in training.query_prior] or None,
         "inputs": dict(training.inputs),
         "environment": environment() | {"processes": processes, "device": device_kind(settings.compute.device)},

@@ -6,7 +6,9 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
+from jaxtyping import Float32
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
@@ -20,6 +22,7 @@ from cloak_core.core.training import RunResult
 from cloak_core.core.world import LostProcess, World, join_world, local_device
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodySource
@@ -28,6 +31,8 @@ from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.trainings.first_colors import first_colors
 from cloak_core.studies.trainings.run_record import Training, run_config
+from cloak_core.techniques import build_techniques
+from cloak_core.zoo.starting import read_start
 
 
 def train(
@@ -88,18 +93,28 @@ def make_job(training: Training, world: World) -> Job:
     detectors = [detector.to(device) for detector in training.detectors]
     surrogates = [detector.to(device) for detector in training.query_prior]
     pattern = pattern_of(settings.pattern, bodies, logo)
-    techniques = Techniques.built(Setup(settings, pattern, detectors, device))
-    begun = [technique.first() for technique in techniques.at("first")]
-    first = (
-        pattern.from_faces(begun[0])
-        if begun
-        else first_colors(settings.optimization, pattern, bodies, settings.run.seed)
-    )
-    config = run_config(training, world.size, techniques.content())
+    start = _start(training)
+    techniques = build_techniques(Setup(settings, pattern, detectors, device))
+    if start is None:
+        first = first_colors(settings.optimization, pattern, bodies, settings.run.seed)
+    else:
+        first = pattern.from_faces(start)
+    config = run_config(training, world.size, _files(start, techniques))
     material = make_material(training, device)
     if not training.people or settings.photographs.people_share < 1:
         bodies_of(material.source).require_visible(pattern)
     return Job(settings, pattern, first, techniques, material, detectors, surrogates, config)
+
+
+def _start(training: Training) -> Float32[np.ndarray, "L 3"] | None:
+    """Read the colours that --init names; None where it names none. InputError: they do not fit the logo."""
+    path = training.settings.optimization.init
+    return None if path is None else read_start(Path(path), training.logo)
+
+
+def _files(start: Float32[np.ndarray, "L 3"] | None, techniques: Techniques) -> dict[str, object]:
+    """Record the content of the files that the settings name."""
+    return techniques.content() | ({} if start is None else {"start": {"sha256": sha256_arrays(start)}})
 
 
 def make_material(training: Training, device: torch.device) -> Material:
@@ -122,5 +137,5 @@ def bodies_of(source: BodySource | Mixture) -> BodySource:
 def training_config(training: Training) -> dict:
     """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
     pattern = pattern_of(training.settings.pattern, training.bodies, training.logo)
-    techniques = Techniques.built(Setup(training.settings, pattern, training.detectors, torch.device("cpu")))
-    return run_config(training, files=techniques.content())
+    techniques = build_techniques(Setup(training.settings, pattern, training.detectors, torch.device("cpu")))
+    return run_config(training, files=_files(_start(training), techniques))

@@ -8,14 +8,13 @@ import torch
 from PIL import Image, ImageFilter
 
 from cloak_core.core.batches import Batcher
+from cloak_core.core.distortions import Distortion, draw_window
 from cloak_core.core.filters import blurred, through_jpeg, windowed
 from cloak_core.core.geometry import face_centres
 from cloak_core.core.sampling import Sampler
-from cloak_core.core.technique import Distortions
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.source import BodySource
-from cloak_core.techniques.window import Windows, draw_window
-from tests.core.fakes import box_bodies, front_logo, noise_backgrounds, techniques_of, tiny_settings
+from tests.core.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 
 def smooth_images(count: int = 2, size: int = 48) -> torch.Tensor:
@@ -61,14 +60,14 @@ def test_blur_is_a_gaussian():
 def test_boxes_move_with_the_images(window):
     images, box = torch.full((1, 3, 80, 60), 0.5), torch.tensor([[21.0, 30.0, 40.0, 52.0]])
     images[:, :, 30:52, 21:40] = 1
-    distortion = Distortions([] if window is None else [Windows(torch.tensor([window]))])
+    distortion = Distortion(None if window is None else torch.tensor([window]))
     seen = (distortion(images)[0, 0] > 0.75).nonzero()
     expected = [seen[:, 1].min(), seen[:, 0].min(), seen[:, 1].max() + 1, seen[:, 0].max() + 1]
     assert (distortion.boxes(box, 80, 60)[0] - torch.tensor(expected)).abs().max() <= 0.75
 
 
 def test_boxes_are_clipped_to_the_image():
-    shifted = Distortions([Windows(torch.tensor([[0.5, 0.5, 0.0]]))])
+    shifted = Distortion(torch.tensor([[0.5, 0.5, 0.0]]))
     assert shifted.boxes(torch.tensor([[0.0, 20.0, 50.0, 60.0]]), 80, 80).tolist() == [[0, 0, 20, 80]]
 
 
@@ -96,8 +95,7 @@ def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
     bodies, settings = box_bodies(), tiny_settings(noise=0.0, contrast="1", brightness="0", **changes)
     logo, backgrounds = front_logo(bodies), noise_backgrounds()
     sampler = Sampler(settings, BodySource.trained(bodies, settings.views), len(backgrounds))
-    techniques = techniques_of(settings, bodies=bodies)
-    batcher = Batcher(settings, sampler, backgrounds, FacePattern(logo), torch.device("cpu"), techniques)
+    batcher = Batcher(settings, sampler, backgrounds, FacePattern(logo, bodies), torch.device("cpu"))
     colors = torch.full((len(logo), 3), 0.9, requires_grad=True)
     images = batcher.batch(0).images(colors)
     images.sum().backward()
@@ -116,10 +114,9 @@ def test_what_is_switched_on_changes_images_and_is_drawn_by_seed_and_step(change
 
 def test_cut_out_faces_are_grey_and_stand_together():
     bodies, settings = box_bodies(), tiny_settings(cutout=1.0, batch=8, noise=0.0)
-    pattern = FacePattern(front_logo(bodies))
-    techniques = techniques_of(settings, bodies=bodies)
+    pattern = FacePattern(front_logo(bodies), bodies)
     sampler = Sampler(settings, BodySource.trained(bodies, settings.views), 5)
-    batcher = Batcher(settings, sampler, noise_backgrounds(), pattern, torch.device("cpu"), techniques)
+    batcher = Batcher(settings, sampler, noise_backgrounds(), pattern, torch.device("cpu"))
     hidden = batcher.batch(0).hidden.numpy()
     assert len({row.sum() for row in hidden}) > 3
     centres = face_centres(bodies)[pattern.cover.face_ids]
