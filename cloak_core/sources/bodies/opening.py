@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Callable
-from functools import cache
+from functools import partial
 from pathlib import Path
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies import people
+from cloak_core.sources.bodies.people.anny import drawn_bodies
+from cloak_core.sources.bodies.people.clothed import clothed_bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.selection import select, split_selection
+
+SCENES: dict[str, Callable[..., Bodies]] = {
+    "sample": sample_bodies,
+    "sample-clothed": clothed_bodies,
+    "sample-tight": partial(clothed_bodies, tight=True),
+    "anny": drawn_bodies,
+}
+"""Bodies that are opened by name, from what follows the colon where something does."""
 
 
 def load_scene(spec: str | Path) -> Bodies:
@@ -24,26 +32,11 @@ def load_scene(spec: str | Path) -> Bodies:
     `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`bodies.selection`). Raises `InputError`.
     """
     whole, selection = split_selection(str(spec))
-    bodies = _open_whole(whole)
-    if selection is None:
-        return bodies
-    return bodies.select_poses(select(selection, bodies.names, str(spec)))
-
-
-def _open_whole(spec: str) -> Bodies:
-    name, _, rest = spec.partition(":")
-    # A path is not looked for among the names: their files take a third of a second to import.
-    if Path(name).name == name and not Path(name).suffix and name in opened():
-        return opened()[name](*[rest] if rest else [])
-    if Path(spec).suffix.lower() == ".json":
-        raise InputError(f"--scene {spec}: no scene of bodies; people in photographs are --people {spec}")
-    return read_scene(spec)
-
-
-@cache
-def opened() -> dict[str, Callable[..., Bodies]]:
-    """Find what opens bodies by name: functions of what follows the colon, `OPENED` of each file in `people`."""
-    found = {}
-    for module in pkgutil.iter_modules(people.__path__):
-        found |= getattr(importlib.import_module(f"{people.__name__}.{module.name}"), "OPENED", {})
-    return found
+    name, _, rest = whole.partition(":")
+    if name in SCENES:
+        bodies = SCENES[name](*[rest] if rest else [])
+    elif Path(whole).suffix.lower() == ".json":
+        raise InputError(f"--scene {whole}: no scene of bodies; people in photographs are --people {whole}")
+    else:
+        bodies = read_scene(whole)
+    return bodies if selection is None else bodies.select_poses(select(selection, bodies.names, str(spec)))

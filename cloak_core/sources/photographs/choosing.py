@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Bool
 
 from cloak_core.files.errors import InputError
-from cloak_core.sources.photographs.coco_reader import check_place
-from cloak_core.sources.photographs.landmarks import INDEX, LIMBS, SEEN, Landmarks, is_upright, read_landmarks
+from cloak_core.sources.photographs.landmarks import LIMBS, SEEN, Landmarks, read_landmarks
 from cloak_core.sources.photographs.masks import check_mask, decode_mask, numbers
+from cloak_core.sources.photographs.person import Box
 
 LEAST_HEIGHT = 96
-Box = tuple[float, float, float, float]
+MISPLACED = 0.7
+"""Larger sides of a box by which landmarks may lie outside of it: the crop around her reaches 0.7 beyond every edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,7 @@ def choose(
         if reason:
             left_out.append((what, reason))
             continue
-        check_place(box, landmarks, what)
+        _check_place(box, landmarks, what)
         others = tuple(b for i, b in enumerate(boxes) if i != number and not annotations[i].get("iscrowd"))
         chosen.append(Dressable(annotation["id"], what, mask, box, landmarks, others))
     return chosen, left_out
@@ -81,18 +82,16 @@ def why_left_out(annotation: dict, landmarks: Landmarks | None, box: Box, size: 
         return "no landmarks"
     if box[3] - box[1] < LEAST_HEIGHT:
         return "small"
-    if (landmarks.visibility[list(LIMBS[:6])] < SEEN).any():
+    unseen = landmarks.visibility[list(LIMBS)] < SEEN
+    if unseen[:6].any():
         return "hidden"
     xy = landmarks.xy[list(LIMBS)]
-    if (
-        (xy.min(axis=0) < -8).any()
-        or (xy.max(axis=0) > np.add(size, 8)).any()
-        or (landmarks.visibility[list(LIMBS[6:])] < SEEN).any()
-    ):
+    is_outside = (xy.min(axis=0) < -8).any() or (xy.max(axis=0) > np.add(size, 8)).any()
+    if is_outside or unseen[6:].any() or box[0] < 1 or box[2] > size[0] - 1:
         return "cut"
-    if box[0] < 1 or box[2] > size[0] - 1:
-        return "cut"
-    return "" if is_upright(landmarks, box[3] - box[1]) else "not upright"
+    # Shoulders, hips, knees and ankles follow each other downwards.
+    levels = xy[:, 1].reshape(4, 2).mean(axis=1)
+    return "" if (levels[1:] >= levels[:-1] - 0.1 * (box[3] - box[1])).all() else "not upright"
 
 
 def _why_mask(mask: Bool[np.ndarray, "h w"], landmarks: Landmarks) -> str:
@@ -102,12 +101,21 @@ def _why_mask(mask: Bool[np.ndarray, "h w"], landmarks: Landmarks) -> str:
     at = np.clip(np.rint(landmarks.xy[list(LIMBS)]).astype(int), 0, np.subtract(mask.shape[::-1], 1))
     if mask[at[:, 1], at[:, 0]].mean() < 0.7:
         return "hidden"
-    return "sitting" if _sits(landmarks) else ""
+    # Somebody sits whose thighs are both far from hanging down, as long as the trunk leads one to expect them.
+    shoulder, hip, knee, _ = landmarks.xy[list(LIMBS), 1].reshape(4, 2)
+    trunk = abs(hip.mean() - shoulder.mean())
+    return "sitting" if (knee - hip < 0.54 * trunk).all() else ""
 
 
-def _sits(landmarks: Landmarks) -> bool:
-    """Both thighs far from hanging down, as long as the trunk leads one to expect them."""
-    at = lambda joint: landmarks.xy[[INDEX[f"l_{joint}"], INDEX[f"r_{joint}"]]]
-    trunk = abs(at("hip").mean(axis=0)[1] - at("shoulder").mean(axis=0)[1])
-    drop = (at("knee") - at("hip"))[:, 1]
-    return bool((drop < 0.54 * trunk).all())
+def _check_place(box: Box, landmarks: Landmarks, what: str) -> None:
+    """Check that a box holds its landmarks. InputError: most seen ones lie far from it.
+
+    That is so where rows of two files were mixed up: nothing of the body would lie in the crop around the box.
+    """
+    seen = landmarks.xy[landmarks.visibility >= SEEN]
+    low, high = np.array(box[:2]), np.array(box[2:])
+    margin = MISPLACED * (high - low).max()
+    inside = ((seen >= low - margin) & (seen <= high + margin)).all(axis=1)
+    if len(seen) and inside.mean() < 0.5:
+        x, y = np.median(seen, axis=0)
+        raise InputError(f"{what}: bbox lies elsewhere than its landmarks, which are around {x:.0f}, {y:.0f}")

@@ -10,6 +10,7 @@ from itertools import compress
 from cloak_core.files.caching import DiskCache, MemoryCache, cache_folder
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
+from cloak_core.files.reading import read_ahead
 from cloak_core.jobs.job import Executor, Job, in_order
 from cloak_core.jobs.processes import Processes
 from cloak_core.sources.photographs.compact import pack_fit, read_quality, unpack_fit
@@ -52,17 +53,14 @@ class Fits(Sequence[Fit]):
         return Fits((fit.person for fit in fits), lambda person: held[id(person)])
 
     def __len__(self) -> int:
-        """Count the people."""
         return len(self.people)
 
     def __getitem__(self, index: int | slice) -> Fit | Fits:
-        """Read one fit, or take some people."""
         if isinstance(index, slice):
             return Fits(self.people[index], self._read)
         return self._read(self.people[index])
 
     def __iter__(self) -> Iterator[Fit]:
-        """Read one fit after the other."""
         return map(self._read, self.people)
 
     def where(self, chosen: Iterable[bool]) -> Fits:
@@ -77,7 +75,7 @@ class Fits(Sequence[Fit]):
     def expect(self, indices: Iterable[int]) -> None:
         """Have the system read photographs and fits of these people ahead of need."""
         for index in indices:
-            self.people[index].crop.expect()
+            read_ahead(self.people[index].crop.path)
             if isinstance(self._read, _Shelf):
                 self._read.expect(self.people[index])
 
@@ -92,11 +90,12 @@ class _Shelf:
         self._files = DiskCache(cache_folder("fits"), ".fit", LIMIT, "fits of people")
         self._unpacked = MemoryCache(MEMORY_BYTES)
         self._held: dict[str, bytes] = {}
-        self._fitter: Fitter | None = None
 
-    def has(self, person: Person) -> bool:
+    def packed(self, person: Person) -> bytes | None:
+        """Look for a fit; None where nobody fitted her, or another process made room in the cache."""
         name = person_identity(person)
-        return name in self._held or self._files.get(name) is not None
+        data = self._files.get(name)
+        return self._held.get(name) if data is None else data.tobytes()
 
     def put(self, person: Person, packed: bytes) -> None:
         name = person_identity(person)
@@ -107,20 +106,16 @@ class _Shelf:
         self._files.expect(person_identity(person))
 
     def quality(self, person: Person) -> dict[str, float]:
-        name = person_identity(person)
-        data = self._files.get(name)
-        packed = self._held.get(name) if data is None else data.tobytes()
+        packed = self.packed(person)
         return self(person).quality if packed is None else read_quality(packed)
 
     def __call__(self, person: Person) -> Fit:
-        name = person_identity(person)
         # The same pixels under another name are another person's words, which views show.
-        key = name, person.photograph, person.number
+        key = person_identity(person), person.photograph, person.number
         fit = self._unpacked.get(key)
         if fit is None:
-            data = self._files.get(name)
-            packed = self._held.get(name) if data is None else data.tobytes()
-            if packed is None:  # another process made room in the cache
+            packed = self.packed(person)
+            if packed is None:
                 packed = fit_some([person])[0]
                 self.put(person, packed)
             fit = self._unpacked.put(key, unpack_fit(packed, person))
@@ -137,7 +132,7 @@ def fit_people(
     process is done again, and nothing that came back is.
     """
     shelf = _Shelf()
-    missing = list({person_identity(p): p for p in people.people if not shelf.has(p)}.values())
+    missing = list({person_identity(p): p for p in people.people if shelf.packed(p) is None}.values())
     done = len(people) - len(missing)
     parts = [missing[start : start + TOGETHER] for start in range(0, len(missing), TOGETHER)]
     jobs = [Job(f"people {k * TOGETHER + 1} ...", fit_some, {"people": part}) for k, part in enumerate(parts)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,29 +67,22 @@ def read_landmarks(annotation: dict, what: str) -> Landmarks | None:
     return Landmarks(xy, None, visibility)
 
 
-def _from_blazepose(given: object, what: str) -> Landmarks:
-    if not isinstance(given, dict) or "xy" not in given:
+def _from_blazepose(record: object, what: str) -> Landmarks:
+    if not isinstance(record, dict) or "xy" not in record:
         raise InputError(f"{what}: no 'xy' in it")
-    xy = numbers(given["xy"], what)
-    if xy.size != 66:
-        raise InputError(f"{what}: {xy.size} numbers in 'xy', 33 landmarks have 66")
-    xy = xy.reshape(33, 2)[list(BLAZEPOSE)]
-    visibility = numbers(given.get("visibility") or [1.0] * 33, what)
-    world = numbers(given["world"], what) if given.get("world") else None
-    depth = numbers(given["z"], what) if given.get("z") else None
-    for name, array, count in (("visibility", visibility, 33), ("world", world, 99), ("z", depth, 33)):
-        if array is not None and array.size != count:
-            raise InputError(f"{what}: {array.size} numbers in '{name}', 33 landmarks have {count}")
-    if world is not None:
-        world = world.reshape(33, 3)[list(BLAZEPOSE)]
+    arrays: dict[str, np.ndarray] = {}
+    for name, width in (("xy", 2), ("visibility", 1), ("world", 3), ("z", 1)):
+        if not record.get(name) and name != "xy":
+            continue
+        array = numbers(record[name], what)
+        if array.size != 33 * width:
+            raise InputError(f"{what}: {array.size} numbers in '{name}', 33 landmarks have {33 * width}")
+        arrays[name] = array.reshape(33, width)[list(BLAZEPOSE)]
+    xy, world = arrays["xy"], arrays.get("world")
+    visibility = arrays["visibility"][:, 0] if "visibility" in arrays else np.ones(len(BLAZEPOSE))
+    depth = -arrays["z"][:, 0] if "z" in arrays else None
+    if world is not None:  # metres: as large as the landmarks lie apart in the picture
         flat = world[:, :2] - world[:, :2].mean(axis=0)
         size = np.linalg.norm(xy - xy.mean(axis=0)) / max(float(np.linalg.norm(flat)), 1e-9)
-        return Landmarks(xy, -world[:, 2] * size, visibility[list(BLAZEPOSE)])
-    return Landmarks(xy, None if depth is None else -depth[list(BLAZEPOSE)], visibility[list(BLAZEPOSE)])
-
-
-def is_upright(landmarks: Landmarks, height: float | int) -> bool:
-    """Whether shoulders, hips, knees and ankles follow each other downwards; `height`: the person's, pixels."""
-    pair = lambda joint: landmarks.xy[[INDEX[f"l_{joint}"], INDEX[f"r_{joint}"]]].mean(axis=0)[1]
-    levels = [pair(joint) for joint in ("shoulder", "hip", "knee", "ankle")]
-    return all(lower >= upper - 0.1 * height for upper, lower in itertools.pairwise(levels))
+        depth = -world[:, 2] * size
+    return Landmarks(xy, depth, visibility)

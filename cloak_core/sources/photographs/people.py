@@ -16,16 +16,13 @@ from pathlib import Path
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_text
 from cloak_core.sources.bodies.selection import select, split_selection
-from cloak_core.sources.photographs.annotations import listed_images, people_by_image
-from cloak_core.sources.photographs.choosing import Box
-from cloak_core.sources.photographs.coco_reader import read_coco
+from cloak_core.sources.photographs.coco import people_by_image, read_coco
 from cloak_core.sources.photographs.person import Person
 from cloak_core.sources.photographs.reader import Entry, Reader
 
 MAX_LIST_BYTES = 1 << 20
 _COMMA = re.compile(r",(?![^\[\]]*\])")
 """Between files; those of a selection, PEOPLE.json[0,2], stand in brackets."""
-__all__ = ["Box", "People", "Person", "load_people"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +65,7 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
 
     spec: one file, several with commas between them, a pattern (shards/*.json), or LIST.txt with one of these a line,
     from its own folder. images: the photographs' folder; None: each file's own, or `images` in it. A selection counts
-    or names photographs (see `bodies.selection`). Only annotations of people count (`annotations.PERSON_NAMES`); a
+    or names photographs (see `bodies.selection`). Only annotations of people count (`coco.PERSON_NAMES`); a
     photograph under two names is one, and what is said of it twice counts once. Photographs without anybody to dress
     are not opened, the others again when somebody is drawn. `InputError` names annotation and file for whatever is
     broken or does not fit the picture.
@@ -125,7 +122,7 @@ def _read_file(spec: str, images: str | os.PathLike | None) -> tuple[list[Person
     path, selection = split_selection(spec)
     record = read_coco(path)
     folders = [Path(images)] if images is not None else [Path(path).parent, Path(path).parent / "images"]
-    listed = listed_images(record, path)
+    listed = record["images"]
     if selection is not None:
         names = [str(entry.get("file_name")) for entry in listed]
         listed = [listed[i] for i in select(selection, names, spec)]

@@ -11,7 +11,7 @@ import json
 import os
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,18 +23,9 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.files.likeness import picture_look
 from cloak_core.files.reading import parse_json, read_bytes
-from cloak_core.sources.photographs.annotations import description
 from cloak_core.sources.photographs.choosing import Dressable, choose
-from cloak_core.sources.photographs.crops import (
-    FileCrop,
-    HeldCrop,
-    cut,
-    cut_mask,
-    file_stamp,
-    pack_mask,
-    upright_picture,
-)
-from cloak_core.sources.photographs.person import Person
+from cloak_core.sources.photographs.coco import description
+from cloak_core.sources.photographs.person import Crop, Person, cut, file_stamp, pack_mask, upright_picture
 
 SURROUNDINGS = 2.4
 """Side of a person's crop, in heights of her box: as much as any view of her shows."""
@@ -43,6 +34,8 @@ MOST_HEIGHT = 420
 IDENTITIES_BYTES = 256 << 20
 AHEAD = 32
 """Photographs that are read beyond the one whose people are wanted next."""
+Reasons = list[tuple[str, str]]
+"""What annotations are called, and why nobody is dressed by them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +59,7 @@ class Reader:
         self._names: dict[str, str] = {}
         self._listed: set[tuple[str, str]] = set()
         self._known = DiskCache(cache_folder("photographs"), ".json", IDENTITIES_BYTES, "identities of photographs")
-        decoder = code_hash("sources/photographs/crops.py", "sources/photographs/person.py", "files/likeness.py")
-        self._decoder = [decoder, package_versions("pillow")]
+        self._decoder = [code_hash("sources/photographs/person.py", "files/likeness.py"), package_versions("pillow")]
 
     def people(self, entries: Iterable[Entry]) -> Iterator[tuple[str, Person | str]]:
         """Yield what each annotation is called, with its person, or the reason why she is left out."""
@@ -85,53 +77,52 @@ class Reader:
             finally:
                 pool.shutdown(cancel_futures=True)
 
-    def _counted(self, left_out: list, future: object) -> Iterator[tuple[str, Person | str]]:
+    def _counted(self, left_out: Reasons, future: Future | None) -> Iterator[tuple[str, Person | str]]:
         """Yield what is left out and the people, each once, whatever her photograph is called."""
         yield from left_out
         for what, text, person in () if future is None else future.result():
             content = (person.pixels, text)
             photograph = self._names.setdefault(person.pixels, person.photograph)
-            yield what, "listed twice" if content in self._listed else person.called(photograph)
+            is_new = content not in self._listed
+            yield what, person.known_as(person.identity, photograph=photograph) if is_new else "listed twice"
             self._listed.add(content)
 
-    def _choose(self, entry: Entry) -> tuple[list[tuple[Dressable, str]], list[tuple[str, str]]]:
+    def _choose(self, entry: Entry) -> tuple[list[tuple[Dressable, str]], Reasons]:
         """Choose who can be dressed, each with what the file says of her; the photograph is opened for its size alone,
         where the file does not tell it."""
         if not entry.annotations:
             return [], []
         name = entry.image.get("file_name")
-        if not isinstance(name, str) or not name:
+        if not name:
             raise InputError(f"{self._path}: image {entry.image.get('id')} has no file_name")
-        listed: dict[str, dict] = {}
-        twice: list[tuple[str, str]] = []
+        listed: dict[str, tuple[str, dict]] = {}
+        twice: Reasons = []
         for annotation in entry.annotations:
-            what = self._called(annotation, name)
-            if listed.setdefault(description(annotation), annotation) is not annotation:
+            what = f"{self._path}: annotation {annotation['id']} ({name})"
+            if listed.setdefault(description(annotation), (what, annotation))[1] is not annotation:
                 twice.append((what, "listed twice"))
         size = entry.image.get("width"), entry.image.get("height")
         if None in size:
             picture, _ = upright_picture(self._place(entry))
             size = picture.shape[1], picture.shape[0]
-        names = {self._called(annotation, name): text for text, annotation in listed.items()}
-        chosen, left_out = choose(list(listed.values()), (int(size[0]), int(size[1])), list(names))
+        names = {what: text for text, (what, _) in listed.items()}
+        annotations = [annotation for _, annotation in listed.values()]
+        chosen, left_out = choose(annotations, (int(size[0]), int(size[1])), list(names))
         return [(somebody, names[somebody.what]) for somebody in chosen], twice + left_out
 
-    def _called(self, annotation: dict, name: str) -> str:
-        return f"{self._path}: annotation {annotation['id']} ({name})"
+    def _what(self, entry: Entry) -> str:
+        return f"{self._path}: image {entry.image.get('id')} ({entry.image['file_name']})"
 
     def _place(self, entry: Entry) -> Path:
         """Find the photograph's file. InputError: it leads out of the folders, or is not there."""
         name = entry.image["file_name"]
-        what = self._what(entry)
         if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise InputError(f"{what}: the file name leads out of the photographs' folder")
+            raise InputError(f"{self._what(entry)}: the file name leads out of the photographs' folder")
         place = next((folder / name for folder in self._folders if (folder / name).is_file()), None)
         if place is None:
-            raise InputError(f"{what}: no such photograph in {' or '.join(map(str, self._folders))} (--images DIR)")
+            folders = " or ".join(map(str, self._folders))
+            raise InputError(f"{self._what(entry)}: no such photograph in {folders} (--images DIR)")
         return place
-
-    def _what(self, entry: Entry) -> str:
-        return f"{self._path}: image {entry.image.get('id')} ({entry.image['file_name']})"
 
     def _read(self, entry: Entry, chosen: list[tuple[Dressable, str]]) -> list[tuple[str, str, Person]]:
         """Read a photograph's people: what each is called, what the file says of her, and herself."""
@@ -144,7 +135,13 @@ class Reader:
         kept = self._known.get(name)
         if kept is None:
             picture, turned = upright_picture(path, data)
-            record = _identified(picture, people) | {"turned": turned}
+            record = {
+                "pixels": sha256_arrays(picture),
+                "look": picture_look(picture),
+                "size": [picture.shape[1], picture.shape[0]],
+                "identities": [p.identity_with(cut(picture, p.crop.region, p.shape)) for p in people],
+                "turned": turned,
+            }
             self._known.put(name, json.dumps(record).encode())
         else:
             record = parse_json(kept.tobytes(), "cached identities")
@@ -157,35 +154,21 @@ class Reader:
         ]
 
 
-def _identified(picture: np.ndarray, people: Sequence[Person]) -> dict:
-    """Record what a photograph is, and who its people are."""
-    identities = []
-    for person in people:
-        crop: FileCrop = person.crop
-        held = HeldCrop(cut(picture, crop.region, crop.shape), crop.mask)
-        identities.append(person.in_crop(held).identity)
-    size = [picture.shape[1], picture.shape[0]]
-    return {"pixels": sha256_arrays(picture), "look": picture_look(picture), "size": size, "identities": identities}
-
-
 def _content(person: Person) -> str:
     """Hash all of a person but her pixels."""
-    crop: FileCrop = person.crop
-    landmarks = person.landmarks
-    depth = np.zeros(0) if landmarks.depth is None else landmarks.depth
-    numbers = [np.array(crop.region), np.array(crop.shape), np.array([person.box, *person.others], np.float64)]
-    return sha256_arrays(np.frombuffer(crop.packed, np.uint8), *numbers, landmarks.xy, landmarks.visibility, depth)
+    crop, (boxes, *landmarks) = person.crop, person.numbers
+    mask = np.frombuffer(crop.packed, np.uint8)
+    return sha256_arrays(mask, np.array(crop.region), np.array(crop.shape), boxes, *landmarks)
 
 
 def _check_size(image: dict, record: dict, what: str) -> None:
     """Check that a photograph has the size that the file tells. InputError: it has another."""
     width, height = record["size"]
     listed = (image.get("width", width), image.get("height", height))
-    if listed == (width, height):
-        return
-    is_turned = record["turned"] and listed == (height, width)
-    hint = " (its EXIF record turns it: annotate the upright picture)" if is_turned else ""
-    raise InputError(f"{what}: {width} x {height} pixels, annotated as {listed[0]} x {listed[1]}{hint}")
+    if listed != (width, height):
+        is_turned = record["turned"] and listed == (height, width)
+        hint = " (its EXIF record turns it: annotate the upright picture)" if is_turned else ""
+        raise InputError(f"{what}: {width} x {height} pixels, annotated as {listed[0]} x {listed[1]}{hint}")
 
 
 def _cropped(somebody: Dressable, path: Path, stamp: tuple[int, int]) -> Person:
@@ -204,7 +187,7 @@ def _cropped(somebody: Dressable, path: Path, stamp: tuple[int, int]) -> Person:
     return Person(
         "",
         somebody.number,
-        FileCrop(path, stamp, region, shape, pack_mask(cut_mask(somebody.mask, region, shape))),
+        Crop(path, stamp, region, shape, pack_mask(cut(somebody.mask, region, shape))),
         move(somebody.box),
         somebody.landmarks.moved((float(left), float(top)), scale),
         tuple(move(box) for box in somebody.others),

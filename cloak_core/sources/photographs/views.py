@@ -18,8 +18,8 @@ from cloak_core.core.cameras import Number
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.places import Places
 from cloak_core.core.view import BakedView, Subject
-from cloak_core.sources.photographs.choosing import Box
 from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.person import Box
 from cloak_core.sources.photographs.resampling import Kernel, Resampling, photograph, resample
 from cloak_core.sources.photographs.rig import faces_on_rig
 

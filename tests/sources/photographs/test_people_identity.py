@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from cloak_core.core.run_config import DECISIVE, check_same
 from cloak_core.files.errors import InputError
-from cloak_core.sources.photographs.crops import HeldCrop
 from cloak_core.sources.photographs.fits import fit_people, people_identity
-from cloak_core.sources.photographs.people import Person, load_people
+from cloak_core.sources.photographs.people import load_people
+from cloak_core.sources.photographs.person import Person, file_stamp, pack_mask
 from cloak_core.studies.trainings.run_record import _people
 from tests.sources.photographs.made_people import write_people
 
@@ -34,14 +35,25 @@ def nearer(person: Person) -> Person:
     return replace(person, landmarks=replace(person.landmarks, depth=depth))
 
 
+def masked(person: Person) -> Person:
+    mask = person.mask & (np.arange(person.shape[1]) > person.box[0] + 3)
+    return replace(person, crop=replace(person.crop, packed=pack_mask(mask)))
+
+
+def in_other_pixels(person: Person) -> Person:
+    path = person.crop.path.with_name("other.png")
+    Image.fromarray(255 - np.array(Image.open(person.crop.path))).save(path)
+    return replace(person, crop=replace(person.crop, path=path, stamp=file_stamp(path)))
+
+
 CHANGES = {
     "depth": nearer,
     "no depth": lambda p: replace(p, landmarks=replace(p.landmarks, depth=None)),
     "visibility": lambda p: replace(p, landmarks=replace(p.landmarks, visibility=p.landmarks.visibility * 0.9)),
     "box": lambda p: replace(p, box=(p.box[0] + 1, *p.box[1:])),
     "others": lambda p: replace(p, others=((0.0, 0.0, 5.0, 5.0),)),
-    "mask": lambda p: p.in_crop(HeldCrop(p.image, p.mask & (np.arange(p.shape[1]) > p.box[0] + 3))),
-    "pixels": lambda p: p.in_crop(HeldCrop(255 - p.image, p.mask)),
+    "mask": masked,
+    "pixels": in_other_pixels,
 }
 
 

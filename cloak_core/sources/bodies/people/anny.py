@@ -91,10 +91,6 @@ def drawn_bodies(asked: str = "") -> Bodies:
     return anny_bodies(int(count), int(seed or 0), poses or "natural")
 
 
-OPENED = {"anny": drawn_bodies}
-"""See `sources/bodies/opening.py`."""
-
-
 def read_anny_poses(path: Path) -> Float[np.ndarray, "poses bones 4 4"]:
     """Read poses in Anny's own terms (bones' turns, "local-bone"): .npy, or .npz: `pose_parameters` [P, 104, 4, 4]."""
     if not path.is_file():

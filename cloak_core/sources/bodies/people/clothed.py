@@ -8,7 +8,7 @@ machine.
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -48,10 +48,6 @@ def clothed_bodies(split: str = "all", tight: bool = False) -> Bodies:
     if split not in ("all", "train", "unseen"):
         raise InputError(f"scene '{name}:{split}': the clothed people come as {name}, {name}:train and {name}:unseen")
     return _clothed(split, tight)
-
-
-OPENED = {SCENES[tight]: partial(clothed_bodies, tight=tight) for tight in (False, True)}
-"""See `sources/bodies/opening.py`."""
 
 
 @lru_cache(maxsize=4)

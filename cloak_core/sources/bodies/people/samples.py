@@ -41,10 +41,6 @@ def sample_bodies(split: str = "all") -> Bodies:
     return bodies if split == "all" else bodies.select_poses(np.flatnonzero(unseen == (split == "unseen")))
 
 
-OPENED = {"sample": sample_bodies}
-"""See `sources/bodies/opening.py`."""
-
-
 @lru_cache(maxsize=1)
 def load() -> tuple[Bodies, np.ndarray]:
     """Load all sample bodies, and which of the poses [P] are kept unseen."""
