@@ -13,7 +13,7 @@ from cloak_core.core.places import Places, corner_places
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.products.layout import Layout, inside
-from cloak_core.sources.bodies.meshes.pictures import color_squares, to_bytes
+from cloak_core.sources.bodies.meshes.textures import color_squares, to_bytes
 
 MAX_PIXELS = 400 << 20
 PADDING = 0.002

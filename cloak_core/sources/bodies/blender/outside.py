@@ -18,7 +18,6 @@ import numpy as np
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_npz, read_text
 from cloak_core.sources.bodies.meshes.mesh_file import MeshFile, to_srgb
-from cloak_core.sources.bodies.meshes.pictures import with_pictures
 
 ROOT = Path(__file__).resolve().parents[4]
 ADD_ON = ROOT / "blender_addon"
@@ -90,21 +89,20 @@ def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
         if done.returncode or not out.exists():
             last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["it said nothing"]
             raise InputError(f"{path}: Blender could not read it ({last[0]})")
-        return mesh_of(path, read_npz(out))
+        return mesh_of(read_npz(out))
 
 
-def mesh_of(path: Path, arrays: dict[str, np.ndarray]) -> MeshFile:
-    """Build the mesh that the script wrote, with its pictures as one."""
-    pictures = [arrays[f"picture_{n}"] for n in range(sum(key.startswith("picture_") for key in arrays) - 1)]
-    loop_total, corner_uv, picture_of = (arrays[key].astype(float) for key in ("loop_total", "corner_uv", "picture_of"))
-    loop_total, picture_of = loop_total.astype(np.int64), picture_of.astype(np.int64)
-    has_uv = bool(np.isfinite(corner_uv).all())
-    mesh = MeshFile(
+def mesh_of(arrays: dict[str, np.ndarray]) -> MeshFile:
+    """Build the mesh that the script wrote."""
+    corner_uv = arrays["corner_uv"].astype(float)
+    known = np.isfinite(corner_uv).all(axis=1)
+    return MeshFile(
         poses=arrays["poses"],
-        loop_total=loop_total,
+        loop_total=arrays["loop_total"].astype(np.int64),
         loop_vertices=arrays["loop_vertices"].astype(np.int64),
         face_colors=to_srgb(arrays["linear_colors"]),
-        uv=corner_uv if has_uv else None,
-        loop_uv=np.arange(len(corner_uv)) if has_uv else None,
+        uv=corner_uv,
+        loop_uv=np.where(known, np.arange(len(corner_uv)), -1),
+        pictures=[arrays[f"picture_{n}"] for n in range(sum(key.startswith("picture_") for key in arrays) - 1)],
+        picture_of=arrays["picture_of"].astype(np.int64),
     )
-    return with_pictures(path, mesh, pictures, picture_of, corner_uv)

@@ -141,26 +141,27 @@ class Document:
         first, last = min(end.min() for end in ends), max(end.max() for end in ends)
         return np.linspace(float(first), float(last), frames).tolist()
 
-    def picture(self, texture: int) -> np.ndarray | None:
-        """Read a texture's pixels [H, W, 3] uint8, row 0 at the top (glTF's v = 0); None where it cannot be read."""
-        source = self.list("textures")[texture].get("source")
-        if source is None:
-            return None
-        record = self.list("images")[source]
-        data = self.view(record["bufferView"])[0] if "bufferView" in record else self.uri(record["uri"], "image")
-        return read_picture(Path(f"{self.path}: image {source}"), data=data)
+    def base_color(self, material: int | None) -> tuple[np.ndarray, dict | None]:
+        """Give a material's linear base colour, and the reference to the texture that it multiplies, or None."""
+        record = {} if material is None else self.list("materials")[material].get("pbrMetallicRoughness", {})
+        return np.array(record.get("baseColorFactor", (1, 1, 1, 1)), float)[:3], record.get("baseColorTexture")
 
     def base_picture(self, texture: int, factor: tuple[float, ...]) -> int:
         """Number in `base_pictures` of a texture times a linear colour; -1 where there is no picture in it."""
         key = (texture, factor)
-        if key not in self._base_numbers:
-            picture = self.picture(texture)
-            if picture is not None and factor != (1, 1, 1):
+        if key in self._base_numbers:
+            return self._base_numbers[key]
+        source = self.list("textures")[texture].get("source")
+        self._base_numbers[key] = -1 if source is None else len(self.base_pictures)
+        if source is not None:
+            record = self.list("images")[source]
+            data = self.view(record["bufferView"])[0] if "bufferView" in record else self.uri(record["uri"], "image")
+            picture = read_picture(Path(f"{self.path}: image {source}"), data=data)
+            if factor != (1, 1, 1):
                 tinted = to_srgb(to_linear(np.arange(256) / 255)[:, None] * factor)
                 table = np.rint(tinted * 255).astype(np.uint8)
                 picture = np.stack([table[picture[..., c], c] for c in range(3)], axis=-1)
-            self._base_numbers[key] = -1 if picture is None else len(self.base_pictures)
-            self.base_pictures += [] if picture is None else [picture]
+            self.base_pictures.append(picture)
             if sum(each.size for each in self.base_pictures) > 3 * MAX_PIXELS:
                 raise InputError(f"{self.path}: its pictures have more than {MAX_PIXELS:,} pixels")
         return self._base_numbers[key]

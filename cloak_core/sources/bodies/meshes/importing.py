@@ -19,7 +19,7 @@ from cloak_core.sources.bodies.meshes.gltf import read_gltf
 from cloak_core.sources.bodies.meshes.mesh_file import MAX_FILE_BYTES, MeshFile
 from cloak_core.sources.bodies.meshes.obj import read_obj
 from cloak_core.sources.bodies.meshes.ply import read_ply
-from cloak_core.sources.bodies.meshes.textures import dress_in_textures
+from cloak_core.sources.bodies.meshes.textures import dress_in_textures, one_picture
 
 READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 READERS |= dict.fromkeys(SUFFIXES, read_through_blender)
@@ -57,14 +57,8 @@ def import_bodies(
             check_heights(path, vertices)
         poses.append(vertices)
         names += bodies.names
-    assert first is not None
-    return replace(
-        first,
-        vertices=np.concatenate(poses),
-        names=unique_names(names),
-        name=name,
-        recorded_topology=first.topology,
-    )
+    vertices = np.concatenate(poses)
+    return replace(first, vertices=vertices, names=unique_names(names), name=name, recorded_topology=first.topology)
 
 
 def read_bodies(path: Path, first: Bodies | None = None, frames: int = 0) -> Bodies:
@@ -101,15 +95,18 @@ def check_mesh(path: Path, mesh: MeshFile) -> None:
 def bodies_of(mesh: MeshFile, name: str, first: Bodies | None) -> Bodies:
     """Make bodies of a mesh."""
     topology = topology_hash(mesh.poses.shape[1], mesh.loop_total, mesh.loop_vertices)
-    shared = {}
+    mapped = {}
+    pictures = ()
     if first is not None and first.topology == topology:
         # Another pose of the same polygons: they keep the triangles of the first pose.
         triangles, triangle_face = first.triangles, first.triangle_face
     else:
         corners, triangle_face = triangulate(mesh.poses[0], mesh.loop_total, mesh.loop_vertices)
         triangles = mesh.loop_vertices[corners]
-        if mesh.uv is not None and mesh.loop_uv is not None:
-            shared = {"uv": mesh.uv, "triangle_uv": mesh.loop_uv[corners]}
+        mesh = one_picture(mesh)
+        pictures = mesh.pictures
+        if mesh.has_uv:
+            mapped = {"uv": mesh.uv, "triangle_uv": mesh.loop_uv[corners]}
     bodies = Bodies(
         vertices=mesh.poses.astype(np.float32),
         triangles=triangles,
@@ -119,11 +116,9 @@ def bodies_of(mesh: MeshFile, name: str, first: Bodies | None) -> Bodies:
         loop_total=mesh.loop_total,
         loop_vertices=mesh.loop_vertices,
         name=name,
-        **shared,
+        **mapped,
     )
-    if mesh.picture is None or not shared:
-        return bodies
-    return dress_in_textures(bodies, {name: mesh.picture})
+    return dress_in_textures(bodies, {name: pictures[0]}) if pictures else bodies
 
 
 def check_heights(path: Path, vertices: np.ndarray) -> None:

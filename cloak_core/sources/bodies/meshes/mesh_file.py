@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,9 +26,16 @@ class MeshFile:
     uv: np.ndarray | None = None
     """[U, 2], v up."""
     loop_uv: np.ndarray | None = None
-    """[C] int into `uv`."""
-    picture: np.ndarray | None = None
-    """uint8 [H, W, 3], row 0 at the top: the base colour at every texture coordinate."""
+    """[C] int into `uv`, -1 where a corner has no texture coordinates."""
+    pictures: Sequence[np.ndarray] = ()
+    """Of the materials, uint8 [H, W, 3], row 0 at the top."""
+    picture_of: np.ndarray | None = None
+    """[F] int: the picture of each face, -1 where it is plain; None: all are."""
+
+    @property
+    def has_uv(self) -> bool:
+        """Whether every corner has texture coordinates."""
+        return self.uv is not None and bool((self.loop_uv >= 0).all())
 
 
 def to_srgb(linear: np.ndarray) -> np.ndarray:

@@ -16,10 +16,12 @@ from cloak_core.core.pictures import read_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_text
 from cloak_core.sources.bodies.meshes.mesh_file import MAX_FILE_BYTES, MeshFile, file_beside, mean_of_corners, to_srgb
-from cloak_core.sources.bodies.meshes.pictures import with_pictures
 
 GREY = (0.5, 0.5, 0.5)
 MAX_MTL_BYTES = 4 << 20
+MAP_OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-clamp": 1, "-imfchan": 1, "-texres": 1, "-bm": 1,
+               "-mm": 2, "-o": 3, "-s": 3, "-t": 3}  # fmt: skip
+"""Words that may stand before a picture's file name, and how many values each takes."""
 
 
 @dataclass
@@ -57,22 +59,58 @@ class ObjLines:
         elif kind == "vt":
             self.uv.append([*(float(word) for word in words[:2]), 0.0][:2])
         elif kind == "f":
-            self.face(words)
+            if len(words) < 3:
+                raise ValueError("a face has three corners or more")
+            for word in words:
+                vertex, _, rest = word.partition("/")
+                self.loop.append(resolve(vertex, len(self.vertices)))
+                uv = rest.partition("/")[0]
+                self.loop_uv.append(resolve(uv, len(self.uv)) if uv else -1)
+            self.loop_total.append(len(words))
+            self.face_material.append(self.material)
         elif kind == "usemtl":
             self.material = " ".join(words)
         elif kind == "mtllib":
             self.materials |= read_mtl(self.path, " ".join(words))
 
-    def face(self, words: list[str]) -> None:
-        if len(words) < 3:
-            raise ValueError("a face has three corners or more")
-        for word in words:
-            vertex, _, rest = word.partition("/")
-            self.loop.append(resolve(vertex, len(self.vertices)))
-            uv = rest.partition("/")[0]
-            self.loop_uv.append(resolve(uv, len(self.uv)) if uv else -1)
-        self.loop_total.append(len(words))
-        self.face_material.append(self.material)
+    def mesh(self) -> MeshFile:
+        """Put the lines together."""
+        numbers = np.array([(row + list(GREY))[:6] for row in self.vertices]).reshape(-1, 6)
+        loop_total = np.array(self.loop_total, np.int64)
+        loop = np.array(self.loop, np.int64)
+        loop_uv = np.array(self.loop_uv, np.int64)
+        colors, pictures, picture_of = None, [], None
+        if self.colored and len(loop) and loop.max() < len(numbers):
+            colors = mean_of_corners(numbers[:, 3:], loop_total, loop)
+        elif self.materials:
+            colors = np.array([self.materials.get(name, Material()).color for name in self.face_material])
+        if colors is not None:
+            colors = np.clip(np.nan_to_num(colors, nan=0.5), 0, 1)
+            pictures, picture_of = ([], None) if self.colored else self.read_pictures()
+        return MeshFile(
+            poses=numbers[None, :, :3],
+            loop_total=loop_total,
+            loop_vertices=loop,
+            face_colors=colors,
+            uv=np.array(self.uv).reshape(-1, 2) if self.uv else None,
+            loop_uv=np.where(loop_uv < len(self.uv), loop_uv, -1),
+            pictures=pictures,
+            picture_of=picture_of,
+        )
+
+    def read_pictures(self) -> tuple[list[np.ndarray], np.ndarray]:
+        """Read the pictures of the materials in use, and tell which face has which."""
+        pictures: dict[str, np.ndarray] = {}
+        for name in dict.fromkeys(self.face_material):
+            file = self.materials[name].picture if name in self.materials else ""
+            beside = file_beside(self.path, file) if file else None
+            if beside is not None:
+                pictures[name] = read_picture(beside)
+            elif file:
+                text = f"{self.path}: its picture '{file}' is not in its folder: plain colour instead"
+                warnings.warn(text, stacklevel=2)
+        number = {name: index for index, name in enumerate(pictures)}
+        return list(pictures.values()), np.array([number.get(name, -1) for name in self.face_material])
 
 
 def resolve(word: str, count: int) -> int:
@@ -88,8 +126,7 @@ def read_obj(path: Path) -> MeshFile:
 
     Colours come from vertex colours where there are any, else from the materials in .mtl files that lie in the same
     folder (others are ignored): the picture `map_Kd` where there is one, else `Kd`. Raises `InputError` with the line
-    for what cannot be read, and for a picture on faces without texture coordinates; a picture that is not in the
-    folder or below is a warning.
+    for what cannot be read; a picture that is not in the folder or below is a warning.
     """
     lines = ObjLines(path)
     text = read_text(path, MAX_FILE_BYTES, errors="replace")
@@ -102,54 +139,7 @@ def read_obj(path: Path) -> MeshFile:
             raise
         except (ValueError, OverflowError) as error:
             raise InputError(f"{path}: line {number}: {error}") from None
-    return mesh_of(lines)
-
-
-def mesh_of(lines: ObjLines) -> MeshFile:
-    numbers = np.array([(row + list(GREY))[:6] for row in lines.vertices]).reshape(-1, 6)
-    loop_total = np.array(lines.loop_total, np.int64)
-    loop = np.array(lines.loop, np.int64)
-    loop_uv = np.array(lines.loop_uv, np.int64)
-    has_uv = bool(len(loop_uv)) and loop_uv.min() >= 0 and loop_uv.max() < len(lines.uv)
-    colors = None
-    if lines.colored and len(loop) and loop.max() < len(numbers):
-        colors = mean_of_corners(numbers[:, 3:], loop_total, loop)
-    elif lines.materials:
-        colors = np.array([lines.materials.get(name, Material()).color for name in lines.face_material])
-    if colors is not None:
-        colors = np.clip(np.nan_to_num(colors, nan=0.5), 0, 1)
-    mesh = MeshFile(
-        poses=numbers[None, :, :3],
-        loop_total=loop_total,
-        loop_vertices=loop,
-        face_colors=colors,
-        uv=np.array(lines.uv).reshape(-1, 2) if has_uv else None,
-        loop_uv=loop_uv if has_uv else None,
-    )
-    return mesh if lines.colored or colors is None else in_pictures(lines, mesh, loop_uv)
-
-
-def in_pictures(lines: ObjLines, mesh: MeshFile, loop_uv: np.ndarray) -> MeshFile:
-    """Give the mesh its materials' pictures, as one."""
-    path = lines.path
-    pictures: dict[str, np.ndarray] = {}
-    for name in dict.fromkeys(lines.face_material):
-        file = lines.materials[name].picture if name in lines.materials else ""
-        beside = file_beside(path, file) if file else None
-        if beside is not None:
-            pictures[name] = read_picture(beside)
-        elif file:
-            warnings.warn(f"{path}: its picture '{file}' is not in its folder: plain colour instead", stacklevel=2)
-    number = {name: index for index, name in enumerate(pictures)}
-    picture_of = np.array([number.get(name, -1) for name in lines.face_material])
-    known = (loop_uv >= 0) & (loop_uv < len(lines.uv))
-    corner_uv = np.array([*lines.uv, [np.nan, np.nan]])[np.where(known, loop_uv, -1)]
-    return with_pictures(path, mesh, list(pictures.values()), picture_of, corner_uv)
-
-
-MAP_OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-clamp": 1, "-imfchan": 1, "-texres": 1, "-bm": 1,
-               "-mm": 2, "-o": 3, "-s": 3, "-t": 3}  # fmt: skip
-"""Words that may stand before a picture's file name, and how many values each takes."""
+    return lines.mesh()
 
 
 def read_mtl(obj: Path, name: str) -> dict[str, Material]:

@@ -22,6 +22,8 @@ TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+Values = dict[str, np.ndarray | tuple[np.ndarray, np.ndarray]]
+"""Property name -> values [count], or (lengths [count], all values) of a list."""
 
 
 @dataclass
@@ -40,22 +42,19 @@ class Element:
 
 
 def read_ply(path: Path) -> MeshFile:
-    """Read a PLY file's vertices and faces in their order. Raises `InputError` for what is damaged or no mesh."""
+    """Read a PLY file's vertices and faces in their order. Raises `InputError` for what is damaged or no mesh.
+
+    General mesh libraries read no binary file in which triangles and quads are mixed, and cut quads in two.
+    """
     data = read_bytes(path, MAX_FILE_BYTES)
     try:
         order, elements, start = read_header(data)
         reader = Reader(data, start, order)
-        values = {element.name: reader.element(element) for element in elements}
-        return mesh_of(values)
+        return mesh_of({element.name: reader.element(element) for element in elements})
     except InputError:
         raise
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise InputError(f"{path}: not a readable PLY mesh ({error})") from None
-
-
-def typed(order: str | None, kind: str) -> str:
-    """Name a type as numpy does; all numbers of an ASCII file become 64-bit floats."""
-    return order + TYPES[kind] if order else "f8"
 
 
 def read_header(data: bytes) -> tuple[str, list[Element], int]:
@@ -66,6 +65,8 @@ def read_header(data: bytes) -> tuple[str, list[Element], int]:
         raise ValueError("it has no PLY header")
     order = None
     elements = []
+    # All numbers of an ASCII file become 64-bit floats.
+    typed = lambda kind: order + TYPES[kind] if order else "f8"
     for line in data[:end].decode("ascii", "replace").splitlines():
         match line.split():
             case ["format", name, _] if not elements:
@@ -73,26 +74,21 @@ def read_header(data: bytes) -> tuple[str, list[Element], int]:
             case ["element", name, count]:
                 elements.append(Element(name, int(count)))
             case ["property", "list", count_kind, kind, name]:
-                elements[-1].properties.append(Property(name, typed(order, kind), typed(order, count_kind)))
+                elements[-1].properties.append(Property(name, typed(kind), typed(count_kind)))
             case ["property", kind, name]:
-                elements[-1].properties.append(Property(name, typed(order, kind)))
+                elements[-1].properties.append(Property(name, typed(kind)))
     if order is None or any(not 0 <= element.count <= len(data) for element in elements):
         raise ValueError("its header promises more than the file holds")
     return order, elements, start
-
-
-Values = dict[str, np.ndarray | tuple[np.ndarray, np.ndarray]]
 
 
 class Reader:
     """Takes the values of one element after the other; those of an ASCII file as if they were 64-bit floats."""
 
     def __init__(self, data: bytes, start: int, order: str) -> None:
-        self.data = data
-        self.at = start
+        self.data, self.at = data, start
         if not order:
-            self.data = np.fromiter(map(float, data[start:].split()), np.float64).tobytes()
-            self.at = 0
+            self.data, self.at = np.fromiter(map(float, data[start:].split()), np.float64).tobytes(), 0
 
     def take(self, kind: str | np.dtype, count: int) -> np.ndarray:
         dtype = np.dtype(kind)
@@ -102,45 +98,23 @@ class Reader:
         self.at += count * dtype.itemsize
         return values
 
-    def take_list(self, prop: Property) -> np.ndarray:
-        """Take a list's values in one row, or the one value that is no list."""
-        length = 1 if prop.count_kind is None else int(self.take(prop.count_kind, 1)[0])
-        return self.take(prop.kind, length)
-
     def element(self, element: Element) -> Values:
-        """Read an element: property name -> values [count], or (lengths [count], all values) of a list."""
-        values = self.even_rows(element)
-        if values is None:
-            rows = [[self.take_list(prop) for prop in element.properties] for _ in range(element.count)]
-            columns = zip(element.properties, zip(*rows, strict=True), strict=True)
-            values = {prop.name: (np.array([*map(len, lists)]), np.concatenate(lists)) for prop, lists in columns}
-        by_property = {}
-        for prop in element.properties:
-            length = values[prop.name][0]
-            numbers = values[prop.name][1].astype(np.float64)
-            by_property[prop.name] = numbers if prop.count_kind is None else (length, numbers)
-        return by_property
-
-    def even_rows(self, element: Element) -> dict[str, tuple[np.ndarray, np.ndarray]] | None:
-        """Read all rows at once, where every list is as long as the first row's; else None, and nothing is taken."""
-        start = self.at
-        fields = []
-        lengths = {}
-        for prop in element.properties:
-            lengths[prop.name] = len(self.take_list(prop)) if element.count else 1
-            if prop.count_kind is not None:
-                fields.append((f"{prop.name} length", prop.count_kind))
-            fields.append((prop.name, prop.kind, (lengths[prop.name],)))
-        self.at = start
-        dtype = np.dtype(fields)
-        lists = [prop.name for prop in element.properties if prop.count_kind is not None]
-        if lists and start + element.count * dtype.itemsize > len(self.data):
-            return None
-        table = self.take(dtype, element.count)
-        if any((table[f"{name} length"] != lengths[name]).any() for name in lists):
-            self.at = start
-            return None
-        return {name: (np.full(element.count, n), table[name].reshape(-1)) for name, n in lengths.items()}
+        """Read an element's properties as 64-bit floats: a table at once, rows with lists one by one."""
+        properties = element.properties
+        if all(prop.count_kind is None for prop in properties):
+            table = self.take(np.dtype([(prop.name, prop.kind) for prop in properties]), element.count)
+            return {prop.name: table[prop.name].astype(np.float64) for prop in properties}
+        columns: dict[str, list[np.ndarray]] = {prop.name: [] for prop in properties}
+        for _ in range(element.count):
+            for prop in properties:
+                length = 1 if prop.count_kind is None else int(self.take(prop.count_kind, 1)[0])
+                columns[prop.name].append(self.take(prop.kind, length))
+        values: Values = {}
+        for prop in properties:
+            rows = columns[prop.name]
+            numbers = np.concatenate([np.zeros(0), *rows])
+            values[prop.name] = numbers if prop.count_kind is None else (np.array([*map(len, rows)], int), numbers)
+        return values
 
 
 def mesh_of(values: dict[str, Values]) -> MeshFile:
@@ -165,5 +139,5 @@ def mesh_of(values: dict[str, Values]) -> MeshFile:
         loop_vertices=loop,
         face_colors=colors,
         uv=uv,
-        loop_uv=None if uv is None else loop,
+        loop_uv=loop,
     )

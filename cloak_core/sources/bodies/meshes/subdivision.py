@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cloak_core.core.polygons import loop_starts, next_corner, per_corner, polygon_loops, triangulate
+from cloak_core.core.polygons import next_corner, per_corner, polygon_loops, triangulate
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.meshes.mesh_file import mean_of_corners
 from cloak_core.sources.bodies.meshes.textures import texture_means
 
 MAX_TRIANGLES = 20_000_000
@@ -41,14 +42,14 @@ def split_once(bodies: Bodies) -> tuple[Bodies, np.ndarray]:
     loop_total = loop_total.astype(np.int64)
     all_triangles = bool((loop_total == 3).all())
     split = split_triangles if all_triangles else split_polygons
-    corners, total, midpoints = split(loop_total, loop_vertices, bodies.vertex_count)
-    vertices = split_values(bodies.vertices.transpose(1, 0, 2), midpoints).transpose(1, 0, 2)
+    corners, total, edges, centres = split(loop_total, loop_vertices, bodies.vertex_count)
+    vertices = with_midpoints(bodies.vertices.transpose(1, 0, 2), edges, centres).transpose(1, 0, 2)
     child_corners, child_face = triangulate(vertices[0], total, corners)
     parent = np.repeat(face, 4 if all_triangles else loop_total)
     new = {}
     if bodies.uv is not None:
-        uv_corners, _, uv_midpoints = split(loop_total, per_corner(bodies, bodies.triangle_uv), len(bodies.uv))
-        new = {"uv": split_values(bodies.uv, uv_midpoints), "triangle_uv": uv_corners[child_corners]}
+        uv_corners, _, *uv_points = split(loop_total, per_corner(bodies, bodies.triangle_uv), len(bodies.uv))
+        new = {"uv": with_midpoints(bodies.uv, *uv_points), "triangle_uv": uv_corners[child_corners]}
     divided = replace(
         bodies,
         vertices=vertices,
@@ -61,30 +62,24 @@ def split_once(bodies: Bodies) -> tuple[Bodies, np.ndarray]:
         recorded_topology=None,
         **new,
     )
-    worn = [divided.texture_of(outfit) for outfit in range(divided.outfit_count)]
-    colors = [
-        plain if image is None else texture_means(divided, image)
-        for plain, image in zip(divided.face_colors, worn, strict=True)
-    ]
-    return replace(divided, face_colors=np.stack(colors)), parent
+    colors = divided.face_colors.copy()
+    for outfit in range(divided.outfit_count):
+        if (image := divided.texture_of(outfit)) is not None:
+            colors[outfit] = texture_means(divided, image)
+    return replace(divided, face_colors=colors), parent
 
 
-class Midpoints:
-    """What new points are means of: edges [E, 2], and polygons by their corners where they get a centre."""
-
-    def __init__(self, edges: np.ndarray, loop_total: np.ndarray | None, loop: np.ndarray) -> None:
-        self.edges = edges
-        self.loop_total = loop_total
-        self.loop = loop
+Split = tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]
+"""Corners and sizes of the new polygons; what new points are means of: edges [E, 2], and polygons (corners, sizes)
+where they get a centre."""
 
 
-def split_values(values: np.ndarray, midpoints: Midpoints) -> np.ndarray:
+def with_midpoints(values: np.ndarray, edges: np.ndarray, centres: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
     """Compute values [N, ...] of old points, then of edges' midpoints, then of polygons' centres; float32."""
     exact = values.astype(np.float64)
-    parts = [exact, exact[midpoints.edges].mean(axis=1)]
-    if midpoints.loop_total is not None:
-        sums = np.add.reduceat(exact[midpoints.loop], loop_starts(midpoints.loop_total), axis=0)
-        parts.append(sums / midpoints.loop_total.reshape(-1, *[1] * (values.ndim - 1)))
+    parts = [exact, exact[edges].mean(axis=1)]
+    if centres is not None:
+        parts.append(mean_of_corners(exact, centres[1], centres[0]))
     return np.concatenate(parts).astype(np.float32)
 
 
@@ -98,9 +93,7 @@ def edges_of(loop_total: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.n
     return np.stack([keys // base, keys % base], axis=1), edge
 
 
-def split_polygons(
-    loop_total: np.ndarray, loop: np.ndarray, point_count: int
-) -> tuple[np.ndarray, np.ndarray, Midpoints]:
+def split_polygons(loop_total: np.ndarray, loop: np.ndarray, point_count: int) -> Split:
     """Split a polygon into n quads, one a corner: (corner, next midpoint, centre, previous midpoint)."""
     edges, edge = edges_of(loop_total, loop)
     face = np.repeat(np.arange(len(loop_total)), loop_total)
@@ -109,15 +102,13 @@ def split_polygons(
     middle = point_count + edge
     centre = point_count + len(edges) + face
     quads = np.stack([loop, middle, centre, middle[previous]], axis=1)
-    return quads.reshape(-1), np.full(len(loop), 4), Midpoints(edges, loop_total, loop)
+    return quads.reshape(-1), np.full(len(loop), 4), edges, (loop, loop_total)
 
 
-def split_triangles(
-    loop_total: np.ndarray, loop: np.ndarray, point_count: int
-) -> tuple[np.ndarray, np.ndarray, Midpoints]:
+def split_triangles(loop_total: np.ndarray, loop: np.ndarray, point_count: int) -> Split:
     """Split each triangle into four: one at each corner and the middle one."""
     edges, edge = edges_of(loop_total, loop)
     a, b, c = loop.reshape(-1, 3).T.astype(np.int64)
     ab, bc, ca = point_count + edge.reshape(-1, 3).T
     four = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)
-    return four.reshape(-1), np.full(4 * len(loop_total), 3), Midpoints(edges, None, loop)
+    return four.reshape(-1), np.full(4 * len(loop_total), 3), edges, None
