@@ -35,15 +35,20 @@ from .training import runs
 
 PRINT_SECONDS = 2.0
 PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
+PASSED_ON = dict.fromkeys(("detector", "backgrounds", "angles", "preset", "steps", "device", "config"), "")
+"""Options that the trainer gets as they are, and their defaults; "" leaves the trainer's own."""
+PASSED_ON |= {"detector": "builtin", "angles": "-10:10:5"}
+
+
+class Parser(argparse.ArgumentParser):
+    """Raises `InputError` for bad options."""
+
+    def error(self, message: str) -> None:
+        raise InputError(f"{message} (--help says what it takes)")
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     """Options; bad ones raise `InputError`."""
-
-    class Parser(argparse.ArgumentParser):
-        def error(self, message: str) -> None:
-            raise InputError(f"{message} (--help says what it takes)")
-
     parser = Parser(prog="cloak", description="Train a logo on the body of a .blend file.", allow_abbrev=False)
     add = parser.add_argument
     add("--logo", required=True, help="logo on the body (several joined by +), or a face list (.npy)")
@@ -59,13 +64,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("--frames", default="", metavar="A:B:STEP", help="frames to train on (default: the current pose)")
     add("--actions", type=int, default=0, metavar="STEP", help="train on every STEP-th frame of all actions")
     add("--leave-out", default="", metavar="NAMES", help="visible meshes on the body not to show the camera, A,B")
-    add("--detector", default="builtin", help="as in cloak train")
-    add("--backgrounds", default="", help="folder of images, or procedural")
-    add("--angles", default="-10:10:5", help="azimuths in degrees, A:B:STEP")
-    add("--preset", default="", help="best, paper or reference")
-    add("--steps", type=int, help="updates of the colours")
-    add("--device", default="", help="cpu or cuda")
-    add("--config", default="", help="TOML file with further settings of cloak train")
+    for name, default in PASSED_ON.items():
+        add(f"--{name}", default=default, help="as in cloak train" + (f" (default: {default})" if default else ""))
     add("--trainer", "--python", default="", help="program cloak, or a Python that has cloak_core (default: found)")
     add("--resume", action="store_true", help="go on with the run in --out")
     add("--init", type=Path, metavar="RUN", help="begin with the colours of another run on the same logo")
@@ -78,7 +78,65 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(joined)
 
 
-def choice_of(options: argparse.Namespace) -> PoseChoice:
+def require_sense(options: argparse.Namespace, run: Path) -> None:
+    """Raise `InputError` for options that cannot work, before anything is written and an hour is trained."""
+    if options.subdivide < 0:
+        raise InputError(f"--subdivide {options.subdivide}: 0 levels or more")
+    if options.resume and not run.is_dir():
+        raise InputError(f"--out {options.out}: no run to resume there (begin it without --resume)")
+    if not options.resume and run.exists():
+        raise InputError(f"--out {options.out}: exists already (continue it with --resume, or name another folder)")
+    if options.blend is not None and not options.blend.is_file():
+        raise InputError(f"--blend {options.blend}: no such file")
+    for name, path in (("--save", options.save), ("--preview", options.preview)):
+        if path is not None and path.is_dir():
+            raise InputError(f"{name} {path}: is a folder; name a file in it")
+        if path is not None:
+            require_writable(path.absolute(), name)
+    with written(f"--out {options.out}"):
+        run.parent.mkdir(parents=True, exist_ok=True)
+    require_writable(run, "--out")
+
+
+def require_writable(path: Path, option: str) -> None:
+    """Raise `InputError` where no file can be made beside a path."""
+    if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise InputError(f"{option} {path}: the folder {path.parent} does not exist or cannot be written")
+
+
+def find_body(options: argparse.Namespace, program: str, folder: Path) -> bpy.types.Object:
+    """The body the options name, checked and subdivided."""
+    objects = bpy.context.view_layer.objects
+    meshes = [o for o in objects if o.type == "MESH"]
+    obj = objects.active
+    if options.sample or options.scene:
+        scene = options.scene or folder / "sample"
+        if not options.scene:
+            job = Job("Sample body", [cloak_command(program, *sample_words(scene))], folder, "sample").wait()
+            if job.state != "done":
+                raise InputError(job.message)
+        obj = add_from_scene(bpy.context, read_scene(scene))
+    elif options.object:
+        obj = objects.get(options.object)
+        if obj is None:
+            have = ", ".join(o.name for o in meshes) or "none"
+            raise InputError(f"--object {options.object}: no such object in the scene (meshes: {have})")
+    elif obj not in meshes and meshes:
+        candidates = [o for o in meshes if options.logo in logo_names(o.data)] or meshes
+        if len(candidates) > 1:
+            raise InputError(f"--object: name the body, one of {', '.join(o.name for o in candidates)}")
+        obj = candidates[0]
+    require_body(obj)
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
+        objects.active = obj
+        bpy.ops.object.mode_set(mode="OBJECT")
+    for _ in range(options.subdivide):
+        subdivide(obj, triangulate=not options.keep_quads)
+    return obj
+
+
+def pose_choice(options: argparse.Namespace) -> PoseChoice:
     """Which poses the options ask for."""
     if options.actions and options.frames:
         raise InputError("--frames and --actions: give one of them")
@@ -93,94 +151,17 @@ def choice_of(options: argparse.Namespace) -> PoseChoice:
     return PoseChoice("RANGE", first, last, step)
 
 
-def train_options(given: argparse.Namespace) -> list[str]:
-    """What goes on to the trainer; paths are made absolute, because it works in a folder of its own."""
-    backgrounds = Path(given.backgrounds)
-    return command_lines.options(
-        [command_lines.absolute_detector(given.detector)],
-        backgrounds=backgrounds.absolute() if given.backgrounds and backgrounds.is_dir() else given.backgrounds,
-        **{name: getattr(given, name) for name in ("angles", "preset", "steps", "device")},
-        config=given.config and Path(given.config).absolute(),
-    )
-
-
-def find_body(options: argparse.Namespace, program: str, folder: Path) -> bpy.types.Object:
-    """The body the options name, checked and subdivided."""
-    if options.sample or options.scene:
-        scene = options.scene or folder / "sample"
-        if not options.scene:
-            job = Job("Sample body", [cloak_command(program, *sample_words(scene))], folder, "sample").wait()
-            if job.state != "done":
-                raise InputError(job.message)
-        obj = add_from_scene(bpy.context, read_scene(scene))
-    elif options.object:
-        obj = bpy.context.view_layer.objects.get(options.object)
-        if obj is None:
-            have = ", ".join(o.name for o in bpy.context.view_layer.objects if o.type == "MESH") or "none"
-            raise InputError(f"--object {options.object}: no such object in the scene (meshes: {have})")
-    else:
-        obj = _only_body(options.logo)
-    require_body(obj)
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
-        bpy.context.view_layer.objects.active = obj
-        bpy.ops.object.mode_set(mode="OBJECT")
-    for _ in range(options.subdivide):
-        subdivide(obj, triangulate=not options.keep_quads)
-    return obj
-
-
-def _only_body(logo: str) -> bpy.types.Object | None:
-    active = bpy.context.view_layer.objects.active
-    if active is not None and active.type == "MESH":
-        return active
-    meshes = [o for o in bpy.context.view_layer.objects if o.type == "MESH"]
-    candidates = [o for o in meshes if logo in logo_names(o.data)] or meshes
-    if len(candidates) > 1:
-        raise InputError(f"--object: name the body, one of {', '.join(o.name for o in candidates)}")
-    return candidates[0] if candidates else active
-
-
-def require_writable(path: Path | None, option: str, is_file: bool = True) -> None:
-    """Find out before an hour of training that a result could not be saved."""
-    if path is not None and is_file and path.is_dir():
-        raise InputError(f"{option} {path}: is a folder; name a file in it")
-    if path is not None and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise InputError(f"{option} {path}: the folder {path.parent} does not exist or cannot be written")
-
-
-def require_sense(options: argparse.Namespace, run: Path) -> None:
-    """Raise `InputError` for options that cannot work, before anything is written."""
-    if options.subdivide < 0:
-        raise InputError(f"--subdivide {options.subdivide}: 0 levels or more")
-    if options.resume and not run.is_dir():
-        raise InputError(f"--out {options.out}: no run to resume there (begin it without --resume)")
-    if not options.resume and run.exists():
-        raise InputError(f"--out {options.out}: exists already (continue it with --resume, or name another folder)")
-    for path, name in ((options.save, "--save"), (options.preview, "--preview")):
-        require_writable(path and path.absolute(), name)
-    with written(f"--out {options.out}"):
-        run.parent.mkdir(parents=True, exist_ok=True)
-    require_writable(run, "--out", is_file=False)
-
-
-def open_blend(path: Path) -> None:
-    """Open a .blend file; `InputError` where it is none."""
-    if not path.is_file():
-        raise InputError(f"--blend {path}: no such file")
-    try:
-        bpy.ops.wm.open_mainfile(filepath=str(path.absolute()))
-    except RuntimeError as error:
-        raise InputError(f"--blend {path}: not a file that Blender can open ({str(error).strip()})") from None
-
-
 def main(arguments: list[str]) -> None:
     """Parse the options, export, train, and save the result."""
     options = parse(arguments)
     run = options.out.absolute()
     require_sense(options, run)
     if options.blend is not None:
-        open_blend(options.blend)
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(options.blend.absolute()))
+        except RuntimeError as error:
+            why = str(error).strip()
+            raise InputError(f"--blend {options.blend}: not a file that Blender can open ({why})") from None
     marks.mark_former()  # of a file that was open before the add-on was
     program = find_program(options.trainer)
     obj = find_body(options, program, Path(bpy.app.tempdir))
@@ -193,12 +174,25 @@ def main(arguments: list[str]) -> None:
         bpy.data.objects[name].cloak.left_out = True
     train(options, obj, logo, program, run)
     obj.cloak.run = str(run)
-    finish(options, obj, run)
+    count = runs.import_colors(bpy.context, obj, run)
+    say(f"{count} faces of '{obj.name}' wear the trained colours")
+    if options.save:
+        bpy.ops.wm.save_as_mainfile(filepath=str(options.save.absolute()), check_existing=False)
+        say(f"saved {options.save}")
+    preview = (options.preview or run / "blender.png").absolute()
+    with held(bpy.context, obj):
+        render_check.render_view(obj, preview, PREVIEW_AZIMUTH, PREVIEW_SIZE, PREVIEW_SAMPLES)
+    say(f"rendered {preview}")
 
 
 def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program: str, run: Path) -> None:
     """Export and train, with progress on standard output."""
-    folder, words = runs.input_folder(run), train_options(options)
+    given = {name: getattr(options, name) for name in PASSED_ON}
+    detector = command_lines.absolute_detector(given.pop("detector"))
+    for name in ("backgrounds", "config"):  # the trainer works in a folder of its own
+        if Path(given[name]).exists() and given[name]:
+            given[name] = Path(given[name]).absolute()
+    folder, words = runs.input_folder(run), command_lines.options([detector], **given)
     allow(words)
     words += ["--made-from=sample:train"] if options.sample else []
     words += [f"--init={options.init.absolute()}"] if options.init else []
@@ -211,7 +205,7 @@ def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program
     else:
         if folder.exists() and not run.exists():
             runs.remove(run)  # what a start left that failed before the training began
-        done = export(bpy.context, obj, logo, choice_of(options), folder)
+        done = export(bpy.context, obj, logo, pose_choice(options), folder)
         runs.remember_options(run, words)
     say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")
     command = command_lines.train_command(program, words, done.scene, done.face_list, run)
@@ -234,25 +228,11 @@ def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program
     say(job.message)
 
 
-def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> None:
-    """Apply the colours, save the .blend file, render the preview."""
-    count = runs.import_colors(bpy.context, obj, run)
-    say(f"{count} faces of '{obj.name}' wear the trained colours")
-    if options.save:
-        bpy.ops.wm.save_as_mainfile(filepath=str(options.save.absolute()), check_existing=False)
-        say(f"saved {options.save}")
-    preview = (options.preview or run / "blender.png").absolute()
-    with held(bpy.context, obj):
-        render_check.render_view(obj, preview, PREVIEW_AZIMUTH, PREVIEW_SIZE, PREVIEW_SAMPLES)
-    say(f"rendered {preview}")
-
-
 def say(text: str) -> None:
     """Write one line on standard output, at once."""
-    if sys.stdout is None:  # it was closed before Python began
-        return
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
+    if sys.stdout is not None:  # it was closed before Python began
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
 
 
 def run(arguments: list[str]) -> int:
@@ -261,12 +241,9 @@ def run(arguments: list[str]) -> int:
         if not hasattr(bpy.types.Object, "cloak"):  # what a .blend file keeps of ours is read only then
             properties.register()
         main(arguments)
-    except InputError as error:
+    except (InputError, Stopped) as error:
         sys.stderr.write(f"cloak: {error}\n")
-        return 2
-    except Stopped as stop:
-        sys.stderr.write(f"cloak: {stop}\n")
-        return 3
+        return 2 if isinstance(error, InputError) else 3
     except BrokenPipeError:
         return 1  # nobody reads what it says
     except Exception:

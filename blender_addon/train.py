@@ -15,9 +15,12 @@ from pathlib import Path
 
 import bpy
 
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from blender_addon import headless
 
-def leave(code: int) -> None:
-    """Exit with a code, also if standard output is closed."""
+    given = sys.argv[1:] if bpy.app.binary_path == "" else []
+    code = headless.run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             if stream is not None:  # it was closed before Python began
@@ -26,11 +29,3 @@ def leave(code: int) -> None:
     # destructors (a condition variable still in use).
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
     os._exit(code)
-
-
-if __name__ == "__main__":
-    given = sys.argv[1:] if bpy.app.binary_path == "" else []
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    from blender_addon import headless
-
-    leave(headless.run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given))
