@@ -21,7 +21,7 @@ from .training import run_list
 from .ui import drawing
 
 WITH_CLASSES = (
-    *("trainer.operators", "body.operators", "logo.operators", "logo.pick", "logo.paint", "logo.stamp_operators"),
+    *("trainer.operators", "body.operators", "logo.operators", "logo.paint"),
     *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.try_it"),
     "result.cloths",
     *("trainer.panel", "body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel"),

@@ -27,8 +27,7 @@ from .poses.export import export, read_export
 from .poses.poses import PoseChoice, held
 from .result import render_check
 from .trainer import command_lines
-from .trainer.command_lines import cloak_command, sample_words
-from .trainer.consent import allow
+from .trainer.command_lines import allow, cloak_command, sample_words
 from .trainer.jobs import Job, TrainingJob
 from .trainer.program import find_program
 from .training import runs

@@ -18,20 +18,19 @@ PREVIEW = 128  # pixels along each side
 def main(add_on: Path, pictures: Path, out: Path) -> None:
     sys.path.insert(0, str(add_on.parent))
     colors = importlib.import_module(f"{add_on.name}.blender.colors")
-    cloth = importlib.import_module(f"{add_on.name}.blender.cloth")
     marks = importlib.import_module(f"{add_on.name}.blender.marks")
     images = importlib.import_module(f"{add_on.name}.blender.pictures")
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     made = set()
     for name, told in json.loads((pictures / "cloths.json").read_text("utf-8")).items():
-        image = cloth.load_cloth(pictures / f"{name}.png")
+        image = images.load_cloth(pictures / f"{name}.png")
         image.name = name
         # It is packed: where it lay on the machine that builds is nobody's business.
         image.filepath_raw = image.packed_files[0].filepath = f"//{name}.png"
         material, texture = colors.new_material(name, "ShaderNodeTexImage")
-        cloth.show_on(material, texture, image, marks.PREFIX + marks.READY_CLOTH)
+        images.show_on(material, texture, image, marks.PREFIX + marks.READY_CLOTH)
         texture.interpolation = "Closest"
-        material[cloth.METRES] = told["metres"]
+        material[images.METRES] = told["metres"]
         material.asset_mark()
         data = material.asset_data
         data.description, data.license, data.author = told["about"], "CC0-1.0", "The Cloak authors"

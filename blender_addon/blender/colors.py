@@ -12,7 +12,6 @@ import numpy as np
 from ..session import session
 from ..ui.window import areas
 from . import mesh_arrays as arrays
-from .cloth import Cloth, cloth_of, pixels_at, show_on, take_off
 from .marks import (
     CLOTH,
     COLORS,
@@ -26,7 +25,7 @@ from .marks import (
     make_layer,
 )
 from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
-from .pictures import image_pixels
+from .pictures import Cloth, cloth_of, image_pixels, pixels_at, show_on, take_off
 
 SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}

@@ -13,11 +13,11 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from ..blender import colors
-from ..blender.cloth import Cloth
 from ..blender.evaluated import read_surface
 from ..blender.faces import logo_mask
 from ..blender.marks import COLORS
 from ..blender.mesh_arrays import box_of, face_count, read, require_object_mode, to_world, topology
+from ..blender.pictures import Cloth
 from ..files.errors import InputError
 from ..session import session
 from ..ui.window import show_progress

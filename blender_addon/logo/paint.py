@@ -1,26 +1,83 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Painting a logo: the brush, with the mouse or from a list of places, and its tool in the toolbars."""
+"""Painting a logo onto the body as it is seen: with a brush, or with a stamp; by the mouse, or from given places."""
+
+import math
+from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.props import CollectionProperty
+from bpy.props import CollectionProperty, FloatVectorProperty
 from bpy_extras.view3d_utils import region_2d_to_location_3d
 from gpu_extras.presets import draw_circle_2d
 from mathutils import Vector
 
 from ..blender import faces
-from ..blender.evaluated import Surface, read_surface
+from ..blender.evaluated import joined, read_surface
+from ..blender.mesh_arrays import triangle_areas
+from ..body.garments import worn_by
+from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
+from ..ui.window import main_region, show_progress
+from . import stamp
 from .operators import take
 from .overlay import ADDED, MOVES, PAINT, TAKEN, Preview
+from .stamp import Placed, Projection, front_projection, laid
 
+RUNNING = {"RUNNING_MODAL"}
 SPACING = 0.4  # of the radius: from one dab to the next
 RADIUS = "scene.cloak.brush_radius"
+PAPER_SHARE = 0.044  # of the body's area: 2,426 (letter G) and 2,427 (smiley) of the paper's 55,152 faces
+SIZES = {
+    **dict.fromkeys(("WHEELUPMOUSE", "NUMPAD_PLUS", "EQUAL"), 1.08),
+    **dict.fromkeys(("WHEELDOWNMOUSE", "NUMPAD_MINUS", "MINUS"), 1 / 1.08),
+}
+"""Factor of the size for a click of the mouse wheel, or a key."""
+HELP = "Move: place   Wheel, + -: size   R: rotate with the mouse   Click, Enter: stamp   Right click, Esc: cancel"
 
 
-class CLOAK_OT_logo_paint(BodyOperator, label="Paint Logo"):
+class MouseOperator(BodyOperator):
+    """Base of operators that follow the mouse over a viewport, and show what they will take until they end.
+
+    `begin(context, obj)` reads the body's `surface` and returns the colour of the preview on it; `follow(mouse)` is told
+    where the mouse is, [2] pixels of the viewport's main region; `write` makes a logo of what the preview showed.
+    """
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.attempt(self._invoke, context, event)
+
+    def _invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if context.area is None or context.area.type != "VIEW_3D":
+            raise InputError("No 3D viewport to paint in")
+        self._area, self._region = context.area, main_region(context.area)
+        color = self.begin(context, context.object)
+        self.preview = Preview(self.surface, color)
+        self.preview.register()
+        self.follow(self.mouse(event))
+        context.window_manager.modal_handler_add(self)
+        return RUNNING
+
+    def mouse(self, event: bpy.types.Event) -> Vector:
+        """Where the mouse is in the viewport, whatever region it was pressed in."""
+        return Vector((event.mouse_x - self._region.x, event.mouse_y - self._region.y))
+
+    @property
+    def view(self) -> tuple[bpy.types.Region, bpy.types.RegionView3D]:
+        return self._region, self._area.spaces.active.region_3d
+
+    def redraw(self) -> None:
+        self._area.tag_redraw()
+
+    def end(self, write: bool, *arguments: object) -> set[str]:
+        """Take the preview away, and `write(*arguments)` what it showed, unless the user gave up."""
+        self.preview.unregister()
+        self._area.header_text_set(None)
+        self.redraw()
+        return self.attempt(self.write, *arguments) if write else {"CANCELLED"}
+
+
+class CLOAK_OT_logo_paint(MouseOperator, label="Paint Logo"):
     """Paint faces into the active logo, or out of it with Ctrl. The brush takes faces that look to the side it \
 touches; with X-Ray on, also those behind, all through the body"""
 
@@ -39,20 +96,22 @@ touches; with X-Ray on, also those behind, all through the body"""
     )
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        surface = read_surface(context, obj)
-        painted = [self._dab(obj, surface, Vector(dab.location), dab.size) for dab in self.stroke]
-        return self._write(obj, surface, np.unique(np.concatenate([np.zeros(0, np.int64), *painted])))
+        self._obj, self.surface = obj, read_surface(context, obj)
+        painted = [self._dab(Vector(dab.location), dab.size) for dab in self.stroke]
+        return self.write(np.unique(np.concatenate([np.zeros(0, np.int64), *painted])))
 
-    def _dab(self, obj: bpy.types.Object, surface: Surface, place: Vector, radius: float) -> np.ndarray:
+    def _dab(self, place: Vector, radius: float) -> np.ndarray:
         """Find the faces [n] under the brush at a point, and with `mirror` the opposite ones."""
-        dabs = [surface.around(np.array(place), radius)]
+        dabs = [self.surface.around(np.array(place), radius)]
         if self.mirror:
-            opposite = obj.matrix_world @ (Vector((-1, 1, 1)) * (obj.matrix_world.inverted_safe() @ place))
-            dabs.append(surface.around(np.array(opposite), radius))
+            matrix = self._obj.matrix_world
+            opposite = matrix @ (Vector((-1, 1, 1)) * (matrix.inverted_safe() @ place))
+            dabs.append(self.surface.around(np.array(opposite), radius))
         return np.concatenate(dabs)
 
-    def _write(self, obj: bpy.types.Object, surface: Surface, painted: np.ndarray) -> str:
-        mask = surface.own_mask(painted)
+    def write(self, painted: np.ndarray) -> str:
+        """Put these evaluated faces [n] into the logo, or take them out; returns what to say."""
+        obj, mask = self._obj, self.surface.own_mask(painted)
         if not mask.any():
             raise InputError("The brush touched no face of the body")
         removes = self.action == "REMOVE"
@@ -63,57 +122,161 @@ touches; with X-Ray on, also those behind, all through the body"""
             name = take(obj, mask, "Logo", add=bool(faces.logo_names(obj.data)))
         return f"Logo '{name}': {int(mask.sum()):,} faces painted {'out' if removes else 'in'}"
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return self.attempt(self._begin, context, event)
-
-    def _begin(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if context.region_data is None or context.region.type != "WINDOW":
-            raise InputError("Paint in a 3D viewport")
-        self._obj = context.object
-        self._surface = read_surface(context, self._obj)
+    def begin(self, context: bpy.types.Context, obj: bpy.types.Object) -> tuple[float, ...]:
+        self._obj, self.surface = obj, read_surface(context, obj)
         if self.action == "REMOVE":
-            faces.active_logo(self._obj)
-        settings = context.scene.cloak
+            faces.active_logo(obj)
+        settings, shading = context.scene.cloak, context.space_data.shading
         self.mirror, self._pixels = settings.brush_mirror, settings.brush_radius
+        self._through = shading.show_xray_wireframe if shading.type == "WIREFRAME" else shading.show_xray
         self.stroke.clear()
-        self._painted = np.zeros(len(self._surface.centers), bool)
-        self._last = Vector((event.mouse_region_x, event.mouse_region_y))
-        self._preview = Preview(self._surface, TAKEN if self.action == "REMOVE" else ADDED)
-        self._preview.register()
-        self._touch(context, self._last)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        self._painted = np.zeros(len(self.surface.centers), bool)
+        self._last: Vector | None = None
+        return TAKEN if self.action == "REMOVE" else ADDED
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in MOVES:  # dabs all along the way, so that a quick mouse leaves no gaps
-            way = Vector((event.mouse_region_x, event.mouse_region_y)) - self._last
-            spacing = max(1.0, SPACING * self._pixels)
-            for _ in range(int(way.length / spacing)):
-                self._last = self._last + way.normalized() * spacing
-                self._touch(context, self._last)
-        ends = event.type == "LEFTMOUSE" and event.value == "RELEASE"
-        if not ends and event.type not in {"ESC", "RIGHTMOUSE"}:
-            return {"RUNNING_MODAL"}
-        self._preview.unregister()
-        context.area.tag_redraw()
-        if not ends or not self._painted.any():
-            return {"CANCELLED"}
-        return self.attempt(self._write, self._obj, self._surface, np.flatnonzero(self._painted))
+        if event.type in MOVES:
+            self.follow(self.mouse(event))
+        if event.type == "LEFTMOUSE" and event.value == "RELEASE":
+            return self.end(self._painted.any(), np.flatnonzero(self._painted))
+        return self.end(False) if event.type in {"ESC", "RIGHTMOUSE"} else RUNNING
 
-    def _touch(self, context: bpy.types.Context, mouse: Vector) -> None:
+    def follow(self, mouse: Vector) -> None:
+        """Dabs all along the way from the last one, so that a quick mouse leaves no gaps."""
+        if self._last is None:
+            self._last = mouse
+            self._touch(mouse)
+        way, spacing = mouse - self._last, max(1.0, SPACING * self._pixels)
+        for _ in range(int(way.length / spacing)):
+            self._last = self._last + way.normalized() * spacing
+            self._touch(self._last)
+
+    def _touch(self, mouse: Vector) -> None:
         """One dab, where the mouse points; with X-Ray, one at each place that its ray meets."""
-        view = (context.region, context.region_data)
-        hits, _ = self._surface.under(*view, mouse)
-        shading = context.space_data.shading
-        through = shading.show_xray_wireframe if shading.type == "WIREFRAME" else shading.show_xray
-        for place in map(Vector, hits if through else hits[:1]):
-            beside = region_2d_to_location_3d(*view, mouse + Vector((self._pixels, 0)), place)
+        hits, _ = self.surface.under(*self.view, mouse)
+        for place in map(Vector, hits if self._through else hits[:1]):
+            beside = region_2d_to_location_3d(*self.view, mouse + Vector((self._pixels, 0)), place)
             dab = self.stroke.add()
             dab.location, dab.size, dab.mouse = place, (beside - place).length, mouse
-            painted = self._dab(self._obj, self._surface, place, dab.size)
-            self._preview.show(painted[~self._painted[painted]], alone=False)
+            painted = self._dab(place, dab.size)
+            self.preview.show(painted[~self._painted[painted]], alone=False)
             self._painted[painted] = True
-        context.area.tag_redraw()
+        self.redraw()
+
+
+class StampOperator(BodyOperator):
+    """Base: lays the stamp that is set onto the body and what it wears, and makes a logo of the faces it covers."""
+
+    add: props.switch("Add", "Add to the active logo instead of making a new one")
+
+    def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
+        """Read the body and the stamp; returns the settings."""
+        require_upright(obj)
+        settings = context.scene.cloak
+        if settings.stamp_kind == "TEXT":
+            ink, self._name = stamp.text_stamp(settings.stamp_text), settings.stamp_text.strip()
+        elif settings.stamp_kind == "IMAGE":
+            ink, self._name = stamp.image_stamp(settings.stamp_image), Path(settings.stamp_image.name).stem
+        else:
+            ink, self._name = stamp.smiley_stamp(), "Smiley"
+        self._obj, self._worn = obj, worn_by(obj)  # clothing takes the faces that it covers
+        self.surface = joined([read_surface(context, one) for one in (obj, *self._worn)])
+        self._placed = Placed(self.surface, ink)
+        show_progress(0.6)  # a body with subdivision takes seconds
+        return settings
+
+    def write(self, projection: Projection) -> str:
+        """Make the logo, or add to the active one; returns what to say."""
+        mask = self._placed.own_mask(projection)
+        show_progress(0.9)
+        name = take(self._obj, mask, self._name, self.add, self._worn)
+        return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
+
+
+class CLOAK_OT_logo_stamp(StampOperator, label="Stamp", told_by="add"):
+    """Project the stamp onto the body's front and make a logo of the faces it covers"""
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        settings = self.lay(context, obj)
+        place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
+        return self.write(front_projection(obj, *place, self._placed.aspect))
+
+
+class CLOAK_OT_stamp_drag(StampOperator, MouseOperator, label="Place Stamp", needs=upright_reason, told_by="kind"):
+    """Drag the stamp over the body, see what it takes, click to stamp. The mouse wheel resizes, R rotates"""
+
+    kind: props.choice(
+        "Stamp",
+        "What is stamped",
+        ("SETTINGS", "As Set", "The text, picture or smiley that is chosen under Stamp"),
+        ("LETTER", "Paper's Letter", "The letter G with the paper's share of the body"),
+        ("SMILEY", "Paper's Smiley", "The smiley with the paper's share of the body"),
+    )
+    place: FloatVectorProperty(name="Place", description="Middle of the stamp on the body", subtype="TRANSLATION")
+    direction: FloatVectorProperty(
+        name="Direction", description="Into the body, from where it is stamped", subtype="DIRECTION", default=(0, 1, 0)
+    )
+    height: props.number("Height", "Height of the stamp", 0.3, min=1e-6, subtype="DISTANCE")
+    angle: props.number("Angle", "Turns the stamp against the clock", subtype="ANGLE")
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.lay(context, obj)
+        return self.write(self._projection())
+
+    def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
+        settings = context.scene.cloak
+        if self.kind == "LETTER":
+            settings.stamp_kind, settings.stamp_text = "TEXT", "G"
+        elif self.kind == "SMILEY":
+            settings.stamp_kind = "SMILEY"
+        return super().lay(context, obj)
+
+    def _projection(self) -> Projection:
+        place, direction = np.array(self.place), np.array(self.direction)
+        return laid(place, direction, self.height, self._placed.aspect, self.angle)
+
+    def begin(self, context: bpy.types.Context, obj: bpy.types.Object) -> tuple[float, ...]:
+        settings = self.lay(context, obj)
+        if self.kind != "SETTINGS":
+            area = float(triangle_areas(self.surface.points, self.surface.corners).sum())
+            self.height = math.sqrt(PAPER_SHARE * area / (self._placed.ink.mean() * self._placed.aspect))
+        else:
+            self.height = settings.stamp_size * float(np.ptp(self.surface.points[:, 2]))
+        self.angle = 0.0
+        self._turning: tuple[float, float] | None = None  # where the mouse was, and the angle, when R was pressed
+        context.area.header_text_set(HELP)
+        return ADDED
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        pressed, mouse = event.value == "PRESS", self.mouse(event)
+        if event.type in MOVES:
+            self.follow(mouse)
+        elif event.type in SIZES and pressed:
+            self.height *= SIZES[event.type]
+            self._show()
+        elif event.type == "R" and pressed:
+            self._turning = None if self._turning else (mouse.x, self.angle)
+        elif event.type in {"LEFTMOUSE", "RET", "NUMPAD_ENTER"} and pressed:
+            return self.end(True, self._projection())
+        elif event.type in {"ESC", "RIGHTMOUSE"}:
+            return self.end(False)
+        elif event.type == "MIDDLEMOUSE" or event.type.startswith(("NDOF", "TRACKPAD")):
+            return {"PASS_THROUGH"}  # looking around
+        return RUNNING
+
+    def follow(self, mouse: Vector) -> None:
+        """The mouse turns the stamp, or takes it along over the body."""
+        if self._turning:
+            self.angle = self._turning[1] - (mouse.x - self._turning[0]) * math.radians(0.5)
+        else:
+            hits, direction = self.surface.under(*self.view, mouse)
+            if len(hits):
+                self.place, self.direction = Vector(hits[0]), direction
+        self._show()
+
+    def _show(self) -> None:
+        self.preview.show(self._placed.faces(self._projection()), alone=True)
+        self.redraw()
 
 
 def _key(key: str, **modifiers: bool) -> dict[str, object]:

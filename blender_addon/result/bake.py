@@ -11,7 +11,6 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.cloth import pixels_at, show_on
 from ..blender.marks import CLOTH, COLORS, UV_MAP, layer_name, make_uv_map, our_names
 from ..blender.mesh_arrays import (
     corner_counts,
@@ -22,7 +21,7 @@ from ..blender.mesh_arrays import (
     triangle_corners,
 )
 from ..blender.occlusion import depth_buffer
-from ..blender.pictures import image_pixels, new_image, show_preview
+from ..blender.pictures import image_pixels, new_image, pixels_at, show_on, show_preview
 from ..files.errors import InputError
 from ..ui.window import show_progress
 

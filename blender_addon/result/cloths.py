@@ -13,11 +13,10 @@ from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..blender.blend_paths import blend_folder, portable
-from ..blender.cloth import METRES, cloth_of, lay_uv, pixels_at
 from ..blender.faces import active_logo
 from ..blender.marks import READY_CLOTH, layer_name
 from ..blender.mesh_arrays import mean_of_corners, mode_reason
-from ..blender.pictures import read_picture, save_picture
+from ..blender.pictures import METRES, cloth_of, lay_uv, pixels_at, read_picture, save_picture
 from ..body.objects import active_body, logo_reason, of_the_body
 from ..body.samples import ASSETS
 from ..exchange.bodies import Bodies
@@ -30,7 +29,7 @@ from ..poses.export import Export, export, poses_reason
 from ..poses.poses import PoseChoice
 from ..properties import output_folder
 from ..training import runs
-from ..training.cloths import first_pose
+from ..training.runs import first_pose
 from ..ui import props
 from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
 

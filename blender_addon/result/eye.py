@@ -31,9 +31,8 @@ from ..trainer.command_lines import cloak_command, options
 from ..trainer.jobs import last_words
 from ..trainer.preferences import trainer
 from ..trainer.program import start_process
-from ..training.cloths import is_cloth
 from ..training.detectors import judges
-from ..training.runs import run_of, trained_faces
+from ..training.runs import is_cloth, run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
 from ..ui.window import Hooks, areas, between_strokes, main_region, redraw
 from .reasons import export_worn, worn_reason

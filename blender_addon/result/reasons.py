@@ -17,9 +17,8 @@ from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..poses.export import export_bodies
 from ..poses.poses import PoseChoice
-from ..training.cloths import first_pose, is_cloth
-from ..training.run_states import read_state
-from ..training.runs import export_of, exported_scene, run_of
+from ..training.run_list import read_state
+from ..training.runs import export_of, exported_scene, first_pose, is_cloth, run_of
 
 
 @of_the_body

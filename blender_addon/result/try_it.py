@@ -13,8 +13,7 @@ from ..blender import colors
 from ..blender.pictures import new_image, read_picture
 from ..body.objects import active_body
 from ..session import session
-from ..trainer.command_lines import options
-from ..trainer.consent import require
+from ..trainer.command_lines import options, require
 from ..trainer.jobs import Job
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The `cloak` command lines that the add-on gives the trainer; the two share files and exit codes, no import."""
 
+import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
 from ..files.errors import InputError
-from ..files.specs import split_spec
-from .consent import require
+from ..files.reading import MAX_TEXT_BYTES, read_bytes
+from ..files.specs import reach, split_spec, without_options
+from ..session import session
 from .program import start_words
 
 SAMPLES = {"BARE": "sample:train", "CLOTHED": "sample-clothed:train"}
@@ -85,3 +87,36 @@ def sample_words(out: Path, people: str = "BARE") -> list[object]:
     """`cloak scene sample`; `people` are a key of `SAMPLES`."""
     clothed = ["--clothed"] if people == "CLOTHED" else []
     return ["scene", "sample", "--out", out, "--split", SAMPLES[people].partition(":")[2], *clothed]
+
+
+class Unasked(InputError):
+    """The user has not been asked about `specs` yet."""
+
+    def __init__(self, specs: list[str]) -> None:
+        super().__init__(
+            f"{specs[0]} {reach(specs[0])}, and waits for your yes (without a window: --detector names it)"
+        )
+        self.specs = specs
+
+
+def allow(words: Iterable[str]) -> None:
+    """Take these words of a command line for named by the user."""
+    session.allowed |= set(map(_content, _acting(words)))
+
+
+def require(words: Iterable[str]) -> None:
+    """Raise `Unasked` for words of a command line that run code or ask the network and have no yes."""
+    if unasked := [spec for spec in _acting(words) if _content(spec) not in session.allowed]:
+        raise Unasked(unasked)
+
+
+def _acting(words: Iterable[str]) -> list[str]:
+    values = (word.partition("=")[2] if word.startswith("--") else word for word in words)
+    return [value for value in values if reach(value)]
+
+
+def _content(spec: str) -> str:
+    bare = without_options(spec)
+    files = (Path(part) for part in split_spec(bare))
+    code = [read_bytes(file, MAX_TEXT_BYTES) for file in files if file.is_file()] if reach(bare) == "runs code" else []
+    return hashlib.sha256(b"\0".join([bare.encode(), *code])).hexdigest()

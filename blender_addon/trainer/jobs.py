@@ -74,9 +74,8 @@ class Job:
         """One line for the panel."""
         if self.state == "waiting":
             return f"Waits for {session.first_in(self.lane).label}"
-        return self._describe_running() if self.running else self.message
-
-    def _describe_running(self) -> str:
+        if not self.running:
+            return self.message
         of = f" {len(self.outputs) + 1}/{len(self._commands)}" if len(self._commands) > 1 else ""
         if self._cancelled:
             return f"{self.label}{of} (stopping)"
@@ -214,11 +213,6 @@ class TrainingJob(Job):
         with contextlib.suppress(OSError):
             (self.run / "cancel").unlink()  # meant for an earlier process that ended while it was asked again
         return super()._start(command)
-
-    def _describe_running(self) -> str:
-        if self._cancelled:
-            return "Stopping after this step..."
-        return self.progress.describe() if self.progress.steps else "Preparing..."
 
     def poll(self) -> bool:
         if self.running and self._cancelled:

@@ -9,8 +9,7 @@ from ..files.errors import InputError
 from ..files.specs import reach
 from ..ui import props
 from ..ui.operator import CloakOperator
-from .command_lines import cloak_command
-from .consent import allow
+from .command_lines import allow, cloak_command
 from .jobs import Job, last_words, launch
 from .preferences import preferences, trainer, user_folder
 from .program import install_line

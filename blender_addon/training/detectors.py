@@ -13,8 +13,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
-from ..trainer.command_lines import cloak_command
-from ..trainer.consent import allow
+from ..trainer.command_lines import allow, cloak_command
 from ..trainer.jobs import Job, launch, waits
 from ..trainer.preferences import trainer, user_folder
 from ..ui import props

@@ -13,14 +13,13 @@ from ..files.errors import InputError
 from ..poses.export import export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_options
 from ..session import session
-from ..trainer.command_lines import differing_options, train_command
-from ..trainer.consent import require
+from ..trainer.command_lines import differing_options, require, train_command
 from ..trainer.jobs import Job, TrainingJob, launch, waits
 from ..trainer.preferences import trainer
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator
 from . import run_list, runs
-from .run_states import DONE, RUNNING, FoundTrainer, RunState, read_state, request_stop
+from .run_list import DONE, RUNNING, FoundTrainer, RunState, read_state, request_stop
 from .runs import run_of
 
 

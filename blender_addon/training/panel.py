@@ -13,7 +13,7 @@ from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import run_list
 from .detectors import active_detector, judges
 from .operators import kept_reason, train_reason
-from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
+from .run_list import DONE, FAILED, RUNNING, STOPPED, RunState
 
 BLACK_BOX = "It only judges: its runtime gives no gradients to train with"
 RUN_ICONS = {RUNNING: "PLAY", DONE: "CHECKMARK", STOPPED: "PAUSE", FAILED: "ERROR"}

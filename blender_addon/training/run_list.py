@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel's list of runs: those in the output folder, those beside the .blend file, and those that objects wear.
+"""The runs in the output folder, beside the .blend file, and on objects: what their folders say, and the panel's list.
 
-The list is a view of the disk. It lives on the window manager, which undo leaves alone, and is read again every other
-second while the panel is being looked at.
+Everything is read from the disk, so neither undo nor a crash of Blender can forget it. A run is running as long as some
+process holds its lock file: that is true of trainers started by another Blender or in a terminal too, needs no process
+number (which a container may hide), and ends with the process. The list lives on the window manager, which undo leaves
+alone, and is read again every other second while the panel is being looked at.
 """
 
 import contextlib
 import logging
 import time
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import bpy
@@ -18,17 +21,150 @@ from ..blender.blend_paths import blend_folder, portable
 from ..body.garments import is_dressed
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
+from ..files.locks import is_held
+from ..files.reading import read_json
+from ..files.writing import written
+from ..poses.export import RECORD
 from ..properties import output_folder
+from ..result.evaluations import SUMMARY, Evaluation, read_evaluation
+from ..result.render_check import Verdict, last_verdicts
 from ..session import session
 from ..trainer import jobs
+from ..trainer.progress import Progress, read_events
 from ..ui import props
 from ..ui.window import between_strokes, redraw
-from .run_states import RunState, find_runs, read_state
-from .runs import import_colors, input_folder, run_of
+from .runs import COMMAND, export_of, import_colors, input_folder, remembered_options, run_of, side_folder
 
 LOG = logging.getLogger(__name__)
 REFRESH_SECONDS = 2.0
 WATCHED_SECONDS = 5.0  # the list is refreshed for this long after it was last drawn
+RUNNING, DONE, STOPPED, FAILED = "running", "done", "stopped", "failed"
+MOST_RUNS = 200  # of one folder, the latest
+
+
+@dataclass(frozen=True)
+class RunState:
+    """State of one run, read from its folders."""
+
+    path: Path
+    state: str  # running, done, stopped or failed
+    progress: Progress = field(default_factory=Progress)
+    object: str = ""  # name of the body at export; "" of a run from the command line
+    logo: str = ""
+    detectors: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()  # of `cloak train`, as the add-on gave them; Resume repeats them
+    evaluation: Evaluation | None = None
+    checks: tuple[Verdict, ...] = ()  # of its latest render check, by detector
+    why: str = ""  # of a failed run: the reason in one line
+    begun: float = 0.0  # seconds since the epoch: when it was started; two that run keep their places in the list
+
+    @property
+    def title(self) -> str:
+        return self.path.name
+
+    @property
+    def unseen(self) -> dict[str, float]:
+        """Worst success over the detectors of its evaluation, by control ("logo", "clothing")."""
+        return self.evaluation.worst_rates() if self.evaluation else {}
+
+    @property
+    def exists(self) -> bool:
+        """Whether there still is anything of it."""
+        return self.path.is_dir() or input_folder(self.path).is_dir()
+
+    @property
+    def resumable(self) -> bool:
+        """Whether Resume can go on: it has not reached its end, and the add-on knows what it was started with."""
+        return self.state in (STOPPED, FAILED) and bool(self.options) and self.path.is_dir()
+
+
+def find_runs(place: Path) -> list[Path]:
+    """Find the runs in a folder, with runs that only have an input because their training never began."""
+    begun = {file.parent.with_suffix(""): file.parent for file in place.glob(f"*.input/{RECORD}")}
+    ready = {file.parent: file.parent for file in place.glob("*/config.json") if file.with_name("logo.npy").is_file()}
+    folders = {run: folder for run, folder in (begun | ready).items() if not folder.is_symlink()}
+    shown = [run for run in folders if not run.name.startswith(".")]
+    return sorted(shown, key=lambda run: _stamp(folders[run]), reverse=True)[:MOST_RUNS]
+
+
+def is_running(run: Path) -> bool:
+    """Whether a trainer works in this folder, started here or elsewhere."""
+    # The lock is not asked while a trainer of ours is just starting: it must not find it taken.
+    return session.training_of(run) is not None or is_held(run / ".lock")
+
+
+_kept: dict[Path, tuple[tuple, RunState]] = {}
+
+
+def read_state(run: Path) -> RunState:
+    """What a run's folders say now. Files that did not change are not read again."""
+    folder = input_folder(run)
+    sources = (run / "config.json", run / "events.jsonl", run / SUMMARY, folder / "train.log")
+    stamps = tuple(map(_stamp, (*sources, folder / COMMAND, run / "colors.npy")))
+    kept = _kept.get(run)
+    if kept is None or kept[0] != stamps:
+        kept = _kept[run] = stamps, _read(run)
+    state = replace(kept[1], checks=last_verdicts(side_folder(run)))
+    return replace(state, state=RUNNING, why="") if is_running(run) else state
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    with contextlib.suppress(OSError):
+        found = path.stat()
+        return found.st_mtime_ns, found.st_size
+    return 0, 0
+
+
+def _read(run: Path) -> RunState:
+    folder = input_folder(run)
+    names = {}
+    with contextlib.suppress(InputError):  # half an input: the run can still be looked at, but not resumed
+        if done := export_of(run):
+            names = {"object": done.object, "logo": done.logo, "options": tuple(remembered_options(run))}
+    progress = read_events(run / "events.jsonl")
+    state, why = progress.outcome or FAILED, progress.why
+    if not run.is_dir():
+        why = jobs.last_words(folder / "train.log") or "its training never began"
+    elif not (run / "events.jsonl").exists() and (run / "colors.npy").is_file() and not names:
+        state = DONE  # colours without a training's log, such as the zoo's
+    elif state == FAILED and not why:
+        why = f"its process ended without a word after step {progress.step}"
+    detectors: tuple[str, ...] = ()
+    with contextlib.suppress(InputError, KeyError, TypeError):
+        detectors = tuple(str(detector["spec"]) for detector in read_json(run / "config.json")["detectors"])
+    # It begins when its export is written; of a run of the command line, when its settings are.
+    written = (folder / RECORD, run / "logo.npy", run / "config.json")
+    begun = next((path.stat().st_mtime for path in written if path.is_file()), 0.0)
+    found = {"why": why, "begun": begun, "detectors": detectors, "evaluation": read_evaluation(run)}
+    return RunState(run, state, progress, **found, **names)
+
+
+class FoundTrainer:
+    """Process of a trainer that another program started: it runs as long as it holds the run's lock."""
+
+    def __init__(self, run: Path) -> None:
+        self._run = run
+
+    def poll(self) -> int | None:
+        """Return None while it runs, then the exit code according to the event log."""
+        if is_held(self._run / ".lock"):
+            return None
+        return {DONE: 0, STOPPED: jobs.STOPPED}.get(read_events(self._run / "events.jsonl").outcome, 1)
+
+    def terminate(self) -> None:
+        """Ask it to end after its current step."""
+        request_stop(self._run)
+
+
+def request_stop(run: Path) -> None:
+    """Ask the trainer of this run to stop. Raises `InputError` if none runs."""
+    if not is_running(run):
+        raise InputError(f"{run.name} is not being trained")
+    with written(run / "cancel"):
+        (run / "cancel").touch()
+
+
+# --- the panel's list -------------------------------------------------------------------------------------------
 
 
 def refresh(context: bpy.types.Context) -> bool:

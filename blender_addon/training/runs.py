@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -17,14 +18,16 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.blend_paths import absolute, blend_folder, first_free, portable
-from ..blender.cloth import Cloth, replace_picture
 from ..blender.marks import COLORS
-from ..blender.mesh_arrays import require_object_mode, topology
+from ..blender.mesh_arrays import mesh_triangles, polygon_loops, require_object_mode, topology, vertex_points
+from ..blender.pictures import Cloth, load_cloth, replace_picture
 from ..body.garments import pieces_of, write_worn
-from ..body.objects import object_of, refusal, require_body
-from ..exchange.cloth import CLOTH_FILE
+from ..body.objects import object_of, refusal, require_body, scene_axes
+from ..exchange.bodies import Bodies
+from ..exchange.cloth import CLOTH_FILE, cloth_metres, corner_uv
 from ..exchange.colors import read_colors
 from ..exchange.face_lists import read_face_list
+from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.writing import write_json
@@ -33,7 +36,6 @@ from ..session import session
 from ..trainer.command_lines import known_options
 from ..trainer.jobs import Job
 from ..ui.operator import push_undo
-from .cloths import read_cloth
 
 
 def run_of(obj: bpy.types.Object) -> Path | None:
@@ -275,3 +277,43 @@ class LiveColors:
     def _cloth(self, obj: bpy.types.Object, first: int = 0) -> Cloth | None:
         """The cloth that the run trains, on an object whose faces the export numbers from `first`."""
         return read_cloth(obj, self._run, exported_scene(self._run), first)
+
+
+# --- the cloth of a run, laid onto a body as the trainer lays it: in the first pose that was exported ----------------
+
+
+def is_cloth(run: Path | None) -> bool:
+    """Whether what a run trains is a cloth that repeats."""
+    return run is not None and (run / CLOTH_FILE).is_file()
+
+
+def read_cloth(obj: bpy.types.Object, run: Path, scene: Path | None, first: int = 0) -> Cloth | None:
+    """The cloth that a run trained, on the object's corners; None where it trained colours of faces.
+
+    scene: what was exported for the run, in which the object's faces are numbered from `first`. Raises `InputError`
+    where the cloth is damaged.
+    """
+    if not is_cloth(run):
+        return None
+    width, bodies = cloth_metres(run), first_pose(obj, scene)
+    if bodies.face_count == len(obj.data.polygons):  # these are the object's own faces alone
+        first = 0
+    before = int(bodies.loop_total[:first].sum())
+    image = load_cloth(run / CLOTH_FILE)
+    uv = corner_uv(bodies, width, width * image.size[1] / image.size[0])
+    return Cloth(image, uv[before : before + len(obj.data.loops)])
+
+
+def first_pose(obj: bpy.types.Object, scene: Path | None) -> Bodies:
+    """What was exported for a run; where nothing was, or with faces that modifiers made, the object's own mesh."""
+    if scene is not None:
+        with suppress(InputError):
+            bodies = read_scene(scene)
+            if bodies.loop_total is not None:
+                return bodies
+    mesh, turn = obj.data, np.array(obj.matrix_world)[:3, :3]
+    counts, loops = polygon_loops(mesh)
+    triangles, faces = mesh_triangles(mesh)
+    # Where the object stands is left out: bodies from scene packages lie as in the package.
+    points = scene_axes(vertex_points(mesh) @ turn.T) * bpy.context.scene.unit_settings.scale_length
+    return Bodies(points[None], triangles, faces, loop_total=counts, loop_vertices=loops)

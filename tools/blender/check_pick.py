@@ -51,7 +51,7 @@ def check_brush():
     from cloak.logo import paint
 
     timed(paint, "read_surface")
-    for name in ("_touch", "_write"):
+    for name in ("_touch", "write"):
         timed(paint.CLOAK_OT_logo_paint, name)
     bpy.context.scene.cloak.brush_mirror = True
     with override():

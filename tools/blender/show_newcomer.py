@@ -69,14 +69,14 @@ def strip(film: Path) -> None:
 
 def keep() -> None:
     from cloak.session import session
-    from cloak.training import run_states
+    from cloak.training import run_list
 
     run = Path(bpy.path.abspath(bpy.context.object.cloak.run))
     film = next(run.parent.glob(f"{run.name}*/turntable.gif"))
     for file in (film, film.with_suffix(".json")):
         shutil.copy(file, OUT)
     strip(OUT / "turntable.gif")
-    state = run_states.read_state(run)
+    state = run_list.read_state(run)
     told = {
         "blender": bpy.app.version_string,
         "clicks": mouse.clicks,

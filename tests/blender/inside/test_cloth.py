@@ -15,7 +15,7 @@ from cloak.exchange.face_lists import read_face_list
 from cloak.poses.export import export
 from cloak.poses.poses import PoseChoice
 from cloak.training import runs
-from cloak.training.run_states import read_state
+from cloak.training.run_list import read_state
 from cloths_made import METRES, SQUARES, cloth_run, random_squares, save_picture, wall
 from made import make_egg, set_mode
 from test_colors import made_run

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -79,9 +80,9 @@ def test_no_timer_acts_while_a_tool_is_at_work(tmp_path, stub, monkeypatch):
     for name, module in [
         (n, m) for n, m in sys.modules.items() if n.startswith("cloak.") and getattr(m, "__file__", 0)
     ]:
-        for timer in re.findall(r"timers\.register\((\w+)", Path(module.__file__).read_text()):
+        for timer in re.findall(r"timers\.register\(([\w.]+)", Path(module.__file__).read_text()):
             timers.append(f"{name}.{timer}")
-            assert hasattr(getattr(module, timer), "__wrapped__"), timers[-1]
+            assert hasattr(attrgetter(timer)(module), "__wrapped__"), timers[-1]
     assert len(timers) >= 5
     ended = []
     job = jobs.launch(Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", ended.append))

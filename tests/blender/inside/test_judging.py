@@ -15,7 +15,7 @@ from cloak.result import evaluations, outputs, ring
 from cloak.result.evaluations import Sector
 from cloak.session import session
 from cloak.trainer import jobs
-from cloak.training import run_list, run_states, runs
+from cloak.training import run_list, runs
 from conftest import folder_of, run_job, wait_for
 from made import add_camera
 
@@ -44,7 +44,7 @@ def test_evaluate_tells_how_far_it_is_and_what_came_out(dressed, monkeypatch):
     later = time.time() + 10
     write_colors(folder_of(dressed) / "colors.npy", np.zeros((3, 3), np.float32))
     os.utime(folder_of(dressed) / "colors.npy", (later, later))
-    assert run_states.read_state(folder_of(dressed)).evaluation.outdated
+    assert run_list.read_state(folder_of(dressed)).evaluation.outdated
 
 
 def test_the_panel_is_drawn_again_while_any_job_runs(dressed, monkeypatch):
@@ -61,7 +61,7 @@ def test_evaluation_can_be_cancelled(dressed, monkeypatch):
     bpy.ops.cloak.train_cancel()
     job = run_job()
     assert job.state == "stopped" and job.message == "Evaluation stopped"
-    assert run_states.read_state(folder_of(dressed)).evaluation is None
+    assert run_list.read_state(folder_of(dressed)).evaluation is None
 
 
 def test_evaluation_on_frames_exports_them_and_says_so(dressed, tmp_path):
@@ -119,7 +119,7 @@ def test_a_cloak_that_hides_no_more_than_clothing_is_bad_news(dressed, tmp_path)
 def test_an_evaluation_that_cannot_be_read_is_none(dressed, text):
     (folder_of(dressed) / "evaluation").mkdir()
     (folder_of(dressed) / "evaluation/summary.json").write_text(text)
-    assert run_states.read_state(folder_of(dressed)).evaluation is None
+    assert run_list.read_state(folder_of(dressed)).evaluation is None
 
 
 # --- the ring --------------------------------------------------------------------------------------------------------

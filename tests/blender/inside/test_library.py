@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import cloth, mesh_arrays, pictures
+from cloak.blender import mesh_arrays, pictures
 from cloak.body.samples import ASSETS
 from cloths_made import wall
 
@@ -36,7 +36,7 @@ def test_every_cloth_of_ours_is_an_asset(library):
         assert material.asset_data.license == "CC0-1.0" and "0.25 m" in material.asset_data.description
         assert tuple(material.preview.image_size) == (128, 128)
         assert np.ptp(np.array(material.preview.image_pixels_float).reshape(-1, 4)[:, :3]) > 0.5, "a picture of it"
-    image = cloth.cloth_of(bpy.data.materials["transfer-people"])
+    image = pictures.cloth_of(bpy.data.materials["transfer-people"])
     there = pictures.read_picture(ASSETS / "transfer-people" / "cloth.png")
     assert image.packed_file and np.array_equal(pictures.image_pixels(image), there)
 

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.logo import pick
+from cloak.logo import operators
 from made import centers, make_egg, set_mode
 
 
@@ -40,7 +40,7 @@ def test_a_logo_of_a_face_set_or_of_any_integer_attribute(mode, name, title):
     values = obj.data.attributes.new(name, "INT", "FACE").data
     values.foreach_set("value", np.where(upper, 7, -1).astype(np.int32))
     set_mode(mode)
-    assert [value for value, _, _ in pick.face_sets(obj)] == [f"-1 {name}", f"7 {name}"]
+    assert [value for value, _, _ in operators.face_sets(obj)] == [f"-1 {name}", f"7 {name}"]
     bpy.ops.cloak.logo_from_face_set(face_set=f"7 {name}")
     assert np.array_equal(taken(obj, title), np.flatnonzero(upper))
 

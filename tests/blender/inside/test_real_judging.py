@@ -8,7 +8,7 @@ import numpy as np
 from cloak.result import eye, outputs
 from cloak.session import session
 from cloak.trainer.preferences import preferences
-from cloak.training import run_states
+from cloak.training import run_list
 from conftest import run_job
 from made import make_egg
 from test_colors import made_run
@@ -34,7 +34,7 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
             press()
             assert run_job(200).state == "done", session.job.message
             assert session.job.fraction == 1
-        found = run_states.read_state(run).evaluation
+        found = run_list.read_state(run).evaluation
         assert found.images == 8 and [s.azimuth for s in found.worst_sectors()] == [-180, -90, 0, 90]
         assert 0 <= found.detectors[0].rates["clothing"][1].value <= 1
         assert sorted(path.name for path in outputs.made(run)) == ["print sheets", "turntable.gif"]

@@ -10,7 +10,7 @@ from cloak.files.errors import InputError
 from cloak.result import operators as result
 from cloak.result import render_check
 from cloak.trainer.jobs import Job
-from cloak.training import run_states, runs
+from cloak.training import run_list, runs
 from conftest import folder_of, run_job
 from made import make_egg
 from test_colors import made_run
@@ -94,7 +94,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
     assert np.ptp(without[middle].mean((0, 1))[:3]) < 0.05  # grey again
     assert obj.name in bpy.data.objects and bpy.data.filepath == ""  # this Blender's file was not touched
     assert not list(folder_of(obj).parent.rglob("*.blend")), "the copy of the file goes"
-    kept = run_states.read_state(folder_of(obj)).checks[0]  # from the disk: undo and closing do not lose it
+    kept = run_list.read_state(folder_of(obj)).checks[0]  # from the disk: undo and closing do not lose it
     assert kept.holds and job.message == kept.describe() and job.message.startswith("The cloak holds. Cycles")
     assert kept.images[1] == folder / "cloak +10.png" and not job.is_bad_news
 

@@ -21,7 +21,7 @@ from cloak.files.errors import InputError
 from cloak.result.reasons import result_reason
 from cloak.session import session
 from cloak.trainer import jobs
-from cloak.training import run_list, run_states, runs
+from cloak.training import run_list, runs
 from cloak.training.operators import kept_reason, run_reason, selected_run
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import make_egg
@@ -310,12 +310,12 @@ def test_only_what_cloak_made_is_deleted(ready, tmp_path):
 
 
 def test_the_lock_tells_who_is_running_and_asking_does_not_make_it(tmp_path):
-    assert not run_states.is_running(tmp_path) and not (tmp_path / ".lock").exists()
+    assert not run_list.is_running(tmp_path) and not (tmp_path / ".lock").exists()
     with (tmp_path / ".lock").open("a") as file:
-        assert not run_states.is_running(tmp_path)
+        assert not run_list.is_running(tmp_path)
         fcntl.flock(file, fcntl.LOCK_EX)
-        assert run_states.is_running(tmp_path)
-    assert not run_states.is_running(tmp_path)
+        assert run_list.is_running(tmp_path)
+    assert not run_list.is_running(tmp_path)
 
 
 def test_damaged_run_folders_are_listed_and_harm_nobody(ready):
@@ -378,13 +378,13 @@ def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_t
         [str(real_trainer), "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     assert holder.stdout.readline() == b"held\n"
-    assert run_states.is_running(tmp_path)
+    assert run_list.is_running(tmp_path)
     holder.communicate(timeout=120)
-    assert not run_states.is_running(tmp_path)
+    assert not run_list.is_running(tmp_path)
 
 
 def test_colours_without_a_training_log_are_a_finished_run(dressed):
     """Such as the zoo's: `cloak zoo export`."""
-    state = run_states.read_state(folder_of(dressed))
+    state = run_list.read_state(folder_of(dressed))
     assert (state.state, state.why, state.detectors) == ("done", "", ("builtin",))
     assert translations.translate("Done, against builtin", "de") == "Fertig, gegen builtin"

@@ -12,7 +12,7 @@ from cloak.exchange.colors import write_colors
 from cloak.result.reasons import judged_reason, result_reason
 from cloak.session import session
 from cloak.trainer import jobs
-from cloak.training import run_list, run_states, runs
+from cloak.training import run_list, runs
 from cloak.training.operators import run_reason
 from conftest import LOGO_FACES, folder_of, red_faces, run_job, wait_for
 from made import make_egg, set_mode
@@ -134,7 +134,7 @@ def test_a_training_does_not_paint_over_another_run_that_was_chosen(ready, monke
 
 def test_rows_keep_their_places_and_attach_finds_its_body(training, monkeypatch):
     jobs.shut_down()  # asks it to end; what it did last must not move its row
-    wait_for(lambda: not run_states.is_running(training))
+    wait_for(lambda: not run_list.is_running(training))
     body = bpy.data.objects["Body"]
     time.sleep(0.02)
     monkeypatch.setenv("CLOAK_STUB", "")
