@@ -9,9 +9,10 @@ from jaxtyping import Float32, Int64, UInt8
 from torch import Tensor
 
 from cloak_core.core.cameras import Vector
+from cloak_core.core.linear import SparseMap
 from cloak_core.core.places import Places
 from cloak_core.core.view import BakedView, Subject, View
-from cloak_core.core.visibility.backend import backend
+from cloak_core.core.visibility.texture import look_up
 
 
 def bake(
@@ -22,18 +23,43 @@ def bake(
     texture: UInt8[Tensor, "h w 3"] | None = None,
 ) -> BakedView:
     """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
-    stage = backend(view.pixels.device)
-    pixels, coverage, base_color, front_count, shown = stage.split(view, logo, colors, light_color, texture)
+    device = view.pixels.device
+    position = torch.full((len(colors),), -1, dtype=torch.int64, device=device)
+    position[logo] = torch.arange(len(logo), device=device)
+    worn = position.index_select(0, view.map.column)
+    is_worn = worn >= 0
+    rest = replace(view.map, weight=view.map.weight.masked_fill(is_worn, 0))
+    if texture is not None:  # each entry has a colour of its own
+        rest = replace(rest, column=torch.arange(len(worn), device=device), width=len(worn))
+    body = rest.apply(colors if texture is None else look_up(texture, view.uv))
+    base_color = ((body + view.specular.unsqueeze(1)) * torch.tensor(light_color, device=device)).T
+
+    # The order of `BakedView`: pixels that show the logo, others that the background shows through, the rest.
+    entry = is_worn.nonzero().view(-1)
+    before = torch.cat([entry.new_zeros(1), is_worn.cumsum(0)])  # entries of the logo up to each entry
+    per_row = before.index_select(0, view.map.crow).diff()
+    kind = torch.where(per_row > 0, 0, torch.where(view.coverage < 1, 1, 2))
+    logo_pixels, edge_pixels, inner_pixels = ((kind == number).nonzero().view(-1) for number in range(3))
+    order = torch.cat([logo_pixels, edge_pixels, inner_pixels])
+    crow = entry.new_zeros(len(logo_pixels) + 1)
+    crow[1:] = per_row.index_select(0, logo_pixels).cumsum(0)
+    shown = SparseMap(crow, worn.index_select(0, entry), view.map.weight.index_select(0, entry), len(logo))
     if view.cloth is None:
-        places = Places.of_faces(len(logo), view.pixels.device)
+        places = Places.of_faces(len(logo), device)
     else:
         # The logo's entries keep their order; each is a place of its own.
-        is_logo = torch.zeros(len(colors), dtype=torch.bool, device=logo.device).index_fill_(0, logo, True)
-        places = Places.on_cloth(shown.column, view.cloth[:, is_logo[view.map.column]], len(logo))
-        entries = torch.arange(len(shown), device=logo.device)
-        shown = replace(shown, column=entries, width=len(shown), has_own_columns=True)
-    own = colors.index_select(0, logo)
-    sides = view.height, view.width
+        places = Places.on_cloth(shown.column, view.cloth.index_select(1, entry), len(logo))
+        shown = replace(shown, column=torch.arange(len(entry), device=device), width=len(entry), has_own_columns=True)
     return BakedView(
-        *sides, pixels, coverage, base_color, front_count, shown, places, own, light_color, Subject(view.box)
+        view.height,
+        view.width,
+        view.pixels.index_select(0, order),
+        view.coverage.index_select(0, order),
+        base_color.index_select(1, order).contiguous(),
+        len(logo_pixels) + len(edge_pixels),
+        shown,
+        places,
+        colors.index_select(0, logo),
+        light_color,
+        Subject(view.box),
     )

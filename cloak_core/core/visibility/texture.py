@@ -28,13 +28,13 @@ def look_up(texture: UInt8[Tensor, "h w 3"], uv: Float32[Tensor, "2 N"]) -> Floa
     height, width = texture.shape[:2]
     x, y = (uv[0] % 1) * width - 0.5, (1 - uv[1] % 1) * height - 0.5
     left, top = x.floor(), y.floor()
-    fx, fy = (x - left).unsqueeze(1), (y - top).unsqueeze(1)
-    column, row = left.to(torch.int64), top.to(torch.int64)
-
-    def texel(right: int, down: int) -> Tensor:
-        place = ((row + down) % height) * width + (column + right) % width
-        return texture.view(-1, 3).index_select(0, place)
-
-    upper = texel(0, 0) * (1 - fx) + texel(1, 0) * fx
-    lower = texel(0, 1) * (1 - fx) + texel(1, 1) * fx
-    return (upper * (1 - fy) + lower * fy) / 255
+    fx, fy = x - left, y - top
+    # Divisions of small integers take a quarter of the time.
+    column, row = left.to(torch.int32), top.to(torch.int32)
+    columns, rows = [(column + k) % width for k in (0, 1)], [(row + k) % height * width for k in (0, 1)]
+    shares = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
+    total = 0
+    for k, share in enumerate(shares):
+        texel = texture.view(-1, 3).index_select(0, rows[k // 2] + columns[k % 2])
+        total = total + texel * share.unsqueeze(1)
+    return total / 255

@@ -162,4 +162,4 @@ def test_both_backends_have_the_same_stages() -> None:
         {name for name, value in vars(room).items() if callable(value)}
         for room in (backend(torch.device("cpu")), plain)
     ]
-    assert stages[0] == stages[1] and len(stages[0]) == 6
+    assert stages[0] == stages[1] and len(stages[0]) == 5

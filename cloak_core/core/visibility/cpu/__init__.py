@@ -1,6 +1,5 @@
 """The stages of a render as numba loops, for the CPU; `backend` lists them."""
 
-from cloak_core.core.visibility.cpu.baking import split as split
 from cloak_core.core.visibility.cpu.matrix import build_view as build_view
 from cloak_core.core.visibility.cpu.painting import draw_bodies as draw_bodies
 from cloak_core.core.visibility.cpu.painting import logo_matrix as logo_matrix
