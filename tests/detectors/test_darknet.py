@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from cloak_core.detectors.darknet.cfg import parse_cfg, read_cfg
-from cloak_core.detectors.darknet.layers import Reorg
+from cloak_core.detectors.darknet.layers import reorg
 from cloak_core.detectors.darknet.network import Network, build_network
 from cloak_core.detectors.darknet.weights import read_weights, stored_tensors, write_darknet
 from cloak_core.detectors.loading import load_detector
@@ -58,7 +58,7 @@ def test_reorg_equals_darknets_loops() -> None:
                 part, block = k % (channels // stride**2), k // (channels // stride**2)
                 column, row = i * stride + block % stride, j * stride + block // stride
                 out[i + width * (j + height * k)] = x[column + width * stride * (row + height * stride * part)]
-    ours = Reorg(stride)(torch.from_numpy(x).view(1, channels, height, width), {})
+    ours = reorg(torch.from_numpy(x).view(1, channels, height, width), stride)
     assert torch.equal(ours, torch.from_numpy(out).view(1, channels * 4, height // 2, width // 2))
 
 
@@ -70,7 +70,7 @@ def test_region_boxes_by_hand() -> None:
     network = build_network(text)
     raw = torch.zeros(1, 7, 4, 8)
     raw[0, :, 1, 5] = torch.tensor([0.0, 2.0, np.log(0.5), 0.0, 3.0, 1.0, 0.0])
-    boxes, objectness, classes = network.heads[0].decode(raw, network.input_size)
+    boxes, classes, objectness = network.heads[0].decode(raw, network.input_size)
     cell = 1 * 8 + 5
     x, y = (5 + 0.5) / 8, (1 + 1 / (1 + np.exp(-2.0))) / 4
     w, h = 0.5 * 2 / 8, 3 / 4
@@ -88,7 +88,7 @@ def test_yolo_boxes_by_hand() -> None:
     network = build_network(text)
     raw = torch.zeros(1, 7, 4, 8)
     raw[0, :, 2, 3] = torch.tensor([1.0, 0.0, 0.0, np.log(2.0), -1.0, 2.0, 0.0])
-    boxes, objectness, classes = network.heads[0].decode(raw, network.input_size)
+    boxes, classes, objectness = network.heads[0].decode(raw, network.input_size)
     cell = 2 * 8 + 3
     x = (3 + 1.2 / (1 + np.exp(-1.0)) - 0.1) / 8
     assert boxes[0, cell].tolist() == pytest.approx(
@@ -125,7 +125,7 @@ def test_dead_channels_follow_the_writing_program(tmp_path: Path) -> None:
 
 def test_written_files_read_back_identical(tmp_path: Path) -> None:
     network = build_network(TINY_CFG, seed=4)
-    cfg, weights = write_darknet(TINY_CFG, network, tmp_path / "out.weights", seen=77)
+    cfg, weights = write_darknet(TINY_CFG, network, tmp_path / "out", seen=77)
     assert cfg.read_text() == TINY_CFG
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.cfg", "out.weights"]
     again = read_weights(Network(read_cfg(cfg)), weights)

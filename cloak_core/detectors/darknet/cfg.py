@@ -86,7 +86,6 @@ def parse_cfg(text: str, source: str = "cfg") -> list[Section]:
 
 
 def read_cfg(path: Path) -> list[Section]:
-    """Parse a .cfg file."""
     return parse_cfg(read_cfg_text(path), str(path))
 
 

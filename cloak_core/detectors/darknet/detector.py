@@ -40,8 +40,8 @@ class DarknetDetector(Detector):
         inputs, placement = fit(images, size, self.letterbox)
         maps = self.network(inputs.contiguous(memory_format=self.memory_format))
         parts = [head.decode(raw, size) for head, raw in zip(self.network.heads, maps, strict=True)]
-        boxes, objectness, classes = (torch.cat(group, dim=1) for group in zip(*parts, strict=True))
-        return Decoded(in_pixels(boxes, size), classes, objectness).of_person(self.person, placement)
+        found = Decoded(*(torch.cat(group, dim=1) for group in zip(*parts, strict=True)))
+        return found._replace(boxes=in_pixels(found.boxes, size)).of_person(self.person, placement)
 
 
 def load_darknet(request: Request) -> DarknetDetector:
@@ -80,5 +80,4 @@ def read_darknet(
         "letterbox": request.letterbox,
         "person": person,
     }
-    detector.freeze()
-    return detector
+    return detector.freeze()

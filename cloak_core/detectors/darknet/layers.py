@@ -1,12 +1,10 @@
-"""Darknet's layers as torch modules; each takes the previous output and all earlier ones that are still needed."""
+"""Darknet's layers as torch modules. Each takes the previous output, then the earlier ones that its `sources` name."""
 
 from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-
-Earlier = dict[int, Tensor]
 
 NORMALIZATION_EPSILON = 1e-4
 
@@ -56,7 +54,7 @@ class Convolution(nn.Module):
         super().__init__()
         self.conv, self.norm, self.activation = conv, norm, activation
 
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+    def forward(self, x: Tensor) -> Tensor:
         x = self.conv(x)
         if self.norm is not None:
             x = self.norm(x)
@@ -83,7 +81,7 @@ class MaxPool(nn.Module):
     def out(self, length: int) -> int:
         return (length + self.padding - self.size) // self.stride + 1
 
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+    def forward(self, x: Tensor) -> Tensor:
         before = self.padding // 2
         after = [(self.out(n) - 1) * self.stride + self.size - n - before for n in x.shape[-2:]]
         if before == 0 and max(after) <= 0:
@@ -94,51 +92,15 @@ class MaxPool(nn.Module):
         return F.max_pool2d(x, self.size, self.stride)
 
 
-class Route(nn.Module):
-    """[route]: earlier outputs side by side in channels, or one group of their channels."""
+class Plain(nn.Module):
+    """A layer without weights: a function of the previous output, or of the earlier ones that `sources` name."""
 
-    def __init__(self, sources: list[int], groups: int, group: int) -> None:
+    def __init__(self, function: Callable[..., Tensor], sources: list[int] | None = None) -> None:
         super().__init__()
-        self.sources, self.groups, self.group = sources, groups, group
+        self.function, self.sources = function, sources or []
 
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
-        picked = [earlier[index] for index in self.sources]
-        if self.groups > 1:
-            picked = [part.chunk(self.groups, dim=1)[self.group] for part in picked]
-        return picked[0] if len(picked) == 1 else torch.cat(picked, dim=1)
-
-
-class Reorg(nn.Module):
-    """[reorg]: space to depth in Darknet's own order of elements.
-
-    Darknet reads its input [C, H, W] as if it were [C/s², H*s, W*s], gathers s x s blocks into [C, H, W], and reads
-    that as [C*s², H/s, W/s].
-    """
-
-    def __init__(self, stride: int) -> None:
-        super().__init__()
-        self.stride = stride
-
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
-        b, c, h, w = x.shape
-        s = self.stride
-        blocks = x.reshape(b, c // s**2, h, s, w, s).permute(0, 3, 5, 1, 2, 4)
-        return blocks.reshape(b, c * s**2, h // s, w // s)
-
-
-class Shortcut(nn.Module):
-    """[shortcut]: activation of alpha * previous + beta * earlier, added on the channels that both have."""
-
-    def __init__(self, sources: list[int], alpha: float, beta: float, activation: str) -> None:
-        super().__init__()
-        self.sources, self.alpha, self.beta, self.activation = sources, alpha, beta, activation
-
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
-        total = x if self.alpha == 1.0 else self.alpha * x
-        for index in self.sources:
-            other = earlier[index] if self.beta == 1.0 else self.beta * earlier[index]
-            total = total + _match_channels(other, total.shape[1])  # a new tensor: x itself may be needed again
-        return ACTIVATIONS[self.activation](total)
+    def forward(self, *tensors: Tensor) -> Tensor:
+        return self.function(*tensors)
 
 
 class WeightedShortcut(nn.Module):
@@ -149,41 +111,30 @@ class WeightedShortcut(nn.Module):
         self.sources, self.normalization, self.activation = sources, normalization, activation
         self.weights = nn.Parameter(torch.ones(len(sources) + 1, channels))
 
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+    def forward(self, x: Tensor, *others: Tensor) -> Tensor:
         weights = self.weights
         if self.normalization == "relu":
             weights = weights.relu() / (weights.relu().sum(dim=0) + NORMALIZATION_EPSILON)
         elif self.normalization == "softmax":
             weights = (weights - weights.amax(dim=0)).exp()
             weights = weights / (weights.sum(dim=0) + NORMALIZATION_EPSILON)
-        inputs = [x, *(_match_channels(earlier[index], x.shape[1]) for index in self.sources)]
+        inputs = [x, *(match_channels(other, x.shape[1]) for other in others)]
         total = sum(part * weight[:, None, None] for part, weight in zip(inputs, weights, strict=True))
         return ACTIVATIONS[self.activation](total)
 
 
-class Upsample(nn.Module):
-    """[upsample]: nearest neighbour, times a scale."""
-
-    def __init__(self, stride: int, scale: float) -> None:
-        super().__init__()
-        self.stride, self.scale = stride, scale
-
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
-        x = F.interpolate(x, scale_factor=float(self.stride), mode="nearest")
-        return x if self.scale == 1.0 else x * self.scale
-
-
-class Dropout(nn.Module):
-    """[dropout]: acts in training only."""
-
-    def __init__(self, probability: float) -> None:
-        super().__init__()
-        self.probability = probability
-
-    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
-        return F.dropout(x, self.probability, self.training)
-
-
-def _match_channels(x: Tensor, channels: int) -> Tensor:
+def match_channels(x: Tensor, channels: int) -> Tensor:
+    """Drop channels, or add some of zeros."""
     extra = channels - x.shape[1]
     return F.pad(x, (0, 0, 0, 0, 0, extra)) if extra > 0 else x[:, :channels]
+
+
+def reorg(x: Tensor, stride: int) -> Tensor:
+    """Space to depth in Darknet's own order of elements.
+
+    Darknet reads its input [C, H, W] as if it were [C/s², H*s, W*s], gathers s x s blocks into [C, H, W], and reads
+    that as [C*s², H/s, W/s].
+    """
+    b, c, h, w = x.shape
+    blocks = x.reshape(b, c // stride**2, h, stride, w, stride).permute(0, 3, 5, 1, 2, 4)
+    return blocks.reshape(b, c * stride**2, h // stride, w // stride)

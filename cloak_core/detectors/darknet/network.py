@@ -1,8 +1,10 @@
 """From .cfg sections to a torch network that runs, trains and folds."""
 
 import math
+from functools import partial
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from cloak_core.detectors.darknet.cfg import Section, parse_cfg
@@ -11,13 +13,11 @@ from cloak_core.detectors.darknet.layers import (
     ACTIVATIONS,
     BatchNorm,
     Convolution,
-    Dropout,
     MaxPool,
-    Reorg,
-    Route,
-    Shortcut,
-    Upsample,
+    Plain,
     WeightedShortcut,
+    match_channels,
+    reorg,
 )
 from cloak_core.detectors.specs import MAX_SIDE
 
@@ -80,7 +80,7 @@ class Network(nn.Module):
         """
         x, earlier, maps = images, {}, []
         for index, layer in enumerate(self.layers):
-            x = layer(x, earlier)
+            x = layer(x, *(earlier[source] for source in getattr(layer, "sources", ())))
             if index in self._needed:
                 earlier[index] = x
             if isinstance(layer, Head):
@@ -153,7 +153,13 @@ def _route(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Modu
         raise section.error(f"joins layers of different sizes ({sizes}); the input size must be a multiple of 32")
     if group >= groups or any(other[0] % groups for other in picked):
         raise section.error(f"groups={groups}, group_id={group} do not fit its channels")
-    return Route(sources, groups, group), (sum(other[0] // groups for other in picked), *picked[0][1:])
+
+    def route(x: Tensor, *earlier: Tensor) -> Tensor:
+        """Earlier outputs side by side in channels, or one group of their channels."""
+        parts = [part.chunk(groups, dim=1)[group] for part in earlier] if groups > 1 else earlier
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+    return Plain(route, sources), (sum(other[0] // groups for other in picked), *picked[0][1:])
 
 
 def _reorg(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
@@ -162,7 +168,7 @@ def _reorg(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Modu
     channels, height, width = shape
     if channels % stride**2 or height % stride or width % stride:
         raise section.error(f"stride={stride} does not divide its input {channels}x{height}x{width}")
-    return Reorg(stride), (channels * stride**2, height // stride, width // stride)
+    return Plain(partial(reorg, stride=stride)), (channels * stride**2, height // stride, width // stride)
 
 
 def _shortcut(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
@@ -181,35 +187,49 @@ def _shortcut(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.M
         columns = shape[0] if kind == "per_channel" else 1
         return WeightedShortcut(sources, columns, normalization, activation), shape
     alpha, beta = section.number("alpha", 1.0), section.number("beta", 1.0)
-    return Shortcut(sources, alpha, beta, activation), shape
+
+    def shortcut(x: Tensor, *earlier: Tensor) -> Tensor:
+        """Activation of alpha * previous + beta * earlier, added on the channels that both have."""
+        total = x if alpha == 1.0 else alpha * x
+        for other in earlier:
+            other = other if beta == 1.0 else beta * other
+            total = total + match_channels(other, total.shape[1])  # a new tensor: x itself may be needed again
+        return ACTIVATIONS[activation](total)
+
+    return Plain(shortcut, sources), shape
 
 
 def _upsample(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    stride = section.integer("stride", 2, low=1)
-    return Upsample(stride, section.number("scale", 1.0)), (shape[0], shape[1] * stride, shape[2] * stride)
+    stride, scale = section.integer("stride", 2, low=1), section.number("scale", 1.0)
+
+    def upsample(x: Tensor) -> Tensor:
+        x = F.interpolate(x, scale_factor=float(stride), mode="nearest")
+        return x if scale == 1.0 else x * scale
+
+    return Plain(upsample), (shape[0], shape[1] * stride, shape[2] * stride)
 
 
 def _dropout(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    return Dropout(section.number("probability", 0.5)), shape
+    probability = section.number("probability", 0.5)
+    if not 0 <= probability <= 1:
+        raise section.error(f"probability={probability:g} is not in [0, 1]")
+    return nn.Dropout(probability), shape
 
 
 def _region(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
     section.refuse("tree", "map", "background")
     if section.integer("coords", 4) != 4:
         raise section.error("coords other than 4 are not supported")
-    count = section.integer("num", 1, low=1)
-    anchors = _anchors(section, count)
-    head = Region(anchors, section.integer("classes", 20, low=1), bool(section.integer("softmax", 0)))
-    return _check_head(head, section, shape), shape
+    softmax = bool(section.integer("softmax", 0))
+    return _check_head(Region(_anchors(section), section.integer("classes", 20, low=1), softmax), section, shape), shape
 
 
 def _yolo(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
     section.refuse("obj_channels", "embedding_layer")
-    count = section.integer("num", 1, low=1)
-    anchors = _anchors(section, count)
-    mask = section.integers("mask") or list(range(count))
-    if not all(0 <= index < count for index in mask):
-        raise section.error(f"mask={section.text('mask', '')} reaches beyond its {count} anchors")
+    anchors = _anchors(section)
+    mask = section.integers("mask") or list(range(len(anchors)))
+    if not all(0 <= index < len(anchors) for index in mask):
+        raise section.error(f"mask={section.text('mask', '')} reaches beyond its {len(anchors)} anchors")
     scale, new_coords = section.number("scale_x_y", 1.0), bool(section.integer("new_coords", 0))
     head = Yolo([anchors[index] for index in mask], section.integer("classes", 20, low=1), scale, new_coords)
     return _check_head(head, section, shape), shape
@@ -255,8 +275,8 @@ def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:
     return absolute
 
 
-def _anchors(section: Section, count: int) -> list[tuple[float, float]]:
-    values = section.numbers("anchors")
+def _anchors(section: Section) -> list[tuple[float, float]]:
+    count, values = section.integer("num", 1, low=1), section.numbers("anchors")
     if len(values) != 2 * count:
         raise section.error(f"num={count} needs {2 * count} numbers in anchors=, found {len(values)}")
     return list(zip(values[::2], values[1::2], strict=True))

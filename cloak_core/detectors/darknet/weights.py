@@ -30,13 +30,11 @@ def stored_tensors(network: Network) -> list[tuple[int, str, Tensor]]:
             continue
         if bool(section.integer("batch_normalize", 0)) != (layer.norm is not None):
             raise ValueError("batch norm is folded already: the network no longer matches its cfg")
-        if layer.norm is None:
-            stored.append((index, "biases", layer.conv.bias))
-        else:
-            norm = layer.norm
-            names = ("biases", "scales", "rolling means", "rolling variances")
-            tensors = (norm.bias, norm.weight, norm.running_mean, norm.running_var)
-            stored += [(index, name, tensor) for name, tensor in zip(names, tensors, strict=True)]
+        stored.append((index, "biases", layer.conv.bias if layer.norm is None else layer.norm.bias))
+        if layer.norm is not None:
+            stored.append((index, "scales", layer.norm.weight))
+            stored.append((index, "rolling means", layer.norm.running_mean))
+            stored.append((index, "rolling variances", layer.norm.running_var))
         stored.append((index, "weights", layer.conv.weight))
     return stored
 
@@ -87,14 +85,12 @@ def read_weights(network: Network, path: Path) -> Network:
     return network
 
 
-def write_darknet(cfg_text: str, network: Network, path: str | Path, seen: int = 0) -> tuple[Path, Path]:
-    """Store an unfolded, trained network as PATH.cfg and PATH.weights; returns both paths.
+def write_darknet(cfg_text: str, network: Network, stem: Path, seen: int = 0) -> tuple[Path, Path]:
+    """Store an unfolded, trained network as STEM.cfg and STEM.weights; returns both paths.
 
     `cfg_text` is the text the network was built from; a network of other shapes is refused (ValueError), as are
-    numbers that are not finite. `seen` is the number of training images, kept in the header. `path` may end in .cfg
-    or .weights.
+    numbers that are not finite. `seen` is the number of training images, kept in the header.
     """
-    stem = Path(path).with_suffix("") if Path(path).suffix in (".cfg", ".weights") else Path(path)
     cfg, weights = Path(f"{stem}.cfg"), Path(f"{stem}.weights")
     stored = stored_tensors(network)
     twin = stored_tensors(Network(parse_cfg(cfg_text, str(cfg))))
