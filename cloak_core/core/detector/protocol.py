@@ -33,6 +33,10 @@ class Detections(NamedTuple):
     other_class: Int[Tensor, "B N"] | None = None
     """Which class that is: its index among the detector's `class_names`. None exactly where `other` is."""
 
+    def each(self, change: Callable[[Tensor], Tensor]) -> "Detections":
+        """Change every part that is there."""
+        return Detections(*(None if part is None else change(part) for part in self))
+
 
 class Detector(nn.Module):
     """A frozen person detector: eval mode, no parameter gradients, deterministic.
@@ -86,9 +90,7 @@ class Detector(nn.Module):
             detections = self.detect(images)
         else:
             with torch.autocast(images.device.type, torch.bfloat16):
-                detections = self.detect(images)
-            parts = (part if part is None or not part.is_floating_point() else part.float() for part in detections)
-            detections = Detections(*parts)
+                detections = self.detect(images).each(lambda part: part.float() if part.is_floating_point() else part)
         broken = ~detections.boxes.detach().isfinite().all()
         if broken.device.type == "cpu":
             self._require_finite(broken)

@@ -15,7 +15,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.decoding import Decoded
-from cloak_core.detectors.verification.comparing import AGREES, Apart, gradient_error, in_any_order, largest_difference
+from cloak_core.detectors.verification.comparing import (
+    AGREES,
+    Apart,
+    gradient_error,
+    in_any_order,
+    largest_difference,
+    sureness,
+)
 from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import code_hash, sha256_arrays
@@ -54,7 +61,7 @@ def compare(converted: Answer, original: Answer, images: Float[Tensor, "B 3 H W"
     if not difference.same:
         figures = f"scores by {difference.scores:.1e}, boxes by {difference.boxes_px:.2f} px"
         return Verdict(f"converted to torch it answers otherwise than in onnxruntime ({figures})", takes_batches)
-    gradient = gradient_error(lambda pixels: converted(pixels).scores, images[:1])
+    gradient = gradient_error(lambda pixels: sureness(converted(pixels).scores), images[:1])
     if gradient is None:
         return Verdict("its scores have no finite gradient in the image", takes_batches)
     why_not = "" if gradient <= AGREES else f"its gradient is {gradient:.0%} off a finite difference"
@@ -100,5 +107,5 @@ def apart(some: list[Decoded], others: list[Decoded]) -> Apart:
         found = largest_difference(rows[0], rows[1])
         if not found.same and len(rows[0]) <= FEW:
             found = in_any_order(*rows)
-        worst = Apart(*map(max, worst, found))
+        worst = worst.joined(found)
     return worst

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
@@ -14,7 +14,15 @@ from torch.nn.functional import interpolate
 
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.detector.scoring import box_iou, max_person_score
-from cloak_core.detectors.verification.comparing import AGREES, BATCH, Apart, apart, gradient_error, gradient_of
+from cloak_core.detectors.verification.comparing import (
+    AGREES,
+    BATCH,
+    Apart,
+    apart,
+    gradient_error,
+    gradient_of,
+    sureness,
+)
 
 ROUNDING = 1e-6
 """Scores may be beyond [0, 1] by so much."""
@@ -61,24 +69,29 @@ class Subject:
     def size(self) -> tuple[int, int]:
         return self.images.shape[2], self.images.shape[3]
 
+    @property
+    def few(self) -> Float[Tensor, "b 3 H W"]:
+        """The first four images."""
+        return next(self.batches())
+
     def batches(self) -> Iterator[Float[Tensor, "b 3 H W"]]:
         """Yield all images, four at a time; the last batch is filled up with the first images."""
         whole = torch.cat([self.images, self.images[: -len(self.images) % BATCH]])
         for batch in whole.split(BATCH):
             yield (batch if batch.is_floating_point() else batch.float() / 255).to(self.detector.device)
 
-    def scores(self, images: Tensor) -> Tensor:
-        return self.detector(images).scores
+    def sureness(self, images: Tensor) -> Tensor:
+        return sureness(self.detector(images).scores)
 
 
 @torch.no_grad()
 def shapes(subject: Subject) -> Finding:
     """Check shapes for one image and for several: boxes [B, N, 4], scores [B, N], float32, all finite."""
     wrong = []
-    for images in (next(subject.batches())[:1], next(subject.batches())):
+    for images in (subject.few[:1], subject.few):
         found = subject.detector(images)
         count, boxes = len(images), found.scores.shape[1:]
-        for name, part in zip(Detections._fields, found, strict=True):
+        for name, part in found._asdict().items():
             if part is None:
                 continue
             expected = (count, *boxes, 4) if name == "boxes" else (count, *boxes)
@@ -93,15 +106,14 @@ def shapes(subject: Subject) -> Finding:
 
 @torch.no_grad()
 def ranges(subject: Subject) -> Finding:
-    """Check that every probability lies in [0, 1]."""
-    found, said, passed = subject.detector(next(subject.batches())), [], True
+    """Check that every probability lies in [0, 1], and that classes have names."""
+    found, said, passed = subject.detector(subject.few), [], True
     for name in ("scores", "objectness", "other"):
         values = getattr(found, name)
-        if values is None or not values.numel():
-            continue
-        low, high = float(values.min()), float(values.max())
-        passed &= low >= -ROUNDING and high <= 1 + ROUNDING
-        said.append(f"{name} from {low:.3g} to {high:.3g}")
+        if values is not None and values.numel():
+            low, high = float(values.min()), float(values.max())
+            passed &= low >= -ROUNDING and high <= 1 + ROUNDING
+            said.append(f"{name} from {low:.3g} to {high:.3g}")
     if found.other_class is not None and found.other_class.numel():
         names, most = subject.detector.class_names, int(found.other_class.max())
         passed &= int(found.other_class.min()) >= 0 and (names is None or most < len(names))
@@ -112,7 +124,7 @@ def ranges(subject: Subject) -> Finding:
 @torch.no_grad()
 def sane_boxes(subject: Subject) -> Finding:
     """Check that boxes that matter have their corners in order and reach into the image."""
-    found, (height, width) = subject.detector(next(subject.batches())), subject.size
+    found, (height, width) = subject.detector(subject.few), subject.size
     boxes = found.boxes[found.scores > CLEAR]
     swapped = int(((boxes[:, 2] < boxes[:, 0]) | (boxes[:, 3] < boxes[:, 1])).sum())
     inside = (boxes[:, 2] > 0) & (boxes[:, 3] > 0) & (boxes[:, 0] < width) & (boxes[:, 1] < height)
@@ -124,8 +136,7 @@ def sane_boxes(subject: Subject) -> Finding:
 @torch.no_grad()
 def repeatable(subject: Subject) -> Finding:
     """Check that two calls say the same to the last bit."""
-    images = next(subject.batches())
-    first, second = subject.detector(images), subject.detector(images)
+    first, second = subject.detector(subject.few), subject.detector(subject.few)
     same = all(a is b is None or torch.equal(a, b) for a, b in zip(first, second, strict=True))
     return Finding(same, "two calls say the same" if same else "two calls on the same images differ")
 
@@ -133,20 +144,19 @@ def repeatable(subject: Subject) -> Finding:
 @torch.no_grad()
 def batch_invariance(subject: Subject) -> Finding:
     """Check that an image is answered alike alone and among others, wherever it stands among them."""
-    images = next(subject.batches())
+    images = subject.few
     alone = [subject.detector(image) for image in images.split(1)]
     worst = Apart(0.0, 0.0)
     for order in (range(BATCH), range(BATCH - 1, -1, -1)):
         together = subject.detector(images[list(order)])
         for place, i in enumerate(order):
-            worst = Apart(*map(max, worst, apart(row(together, place), alone[i], subject.size)))
-    return Finding(worst.same, _distance(worst, "alone and among others"), {"batch_invariant": worst.same})
+            worst = worst.joined(apart(row(together, place), alone[i], subject.size))
+    return Finding(worst.same, f"alone and among others {worst}", {"batch_invariant": worst.same})
 
 
 def extremes(subject: Subject) -> Finding:
     """Check black, white and noise: finite answers, and finite gradients."""
-    height, width = subject.size
-    noise = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(0))
+    noise = torch.rand(1, 3, *subject.size, generator=torch.Generator().manual_seed(0))
     wrong = []
     for name, image in {"black": 0 * noise, "white": 0 * noise + 1, "noise": noise}.items():
         image = image.to(subject.detector.device)
@@ -155,7 +165,7 @@ def extremes(subject: Subject) -> Finding:
         parts = [part for part in found if part is not None and part.is_floating_point()]
         if not all(bool(part.isfinite().all()) for part in parts):
             wrong.append(f"{name}: answers are not finite")
-        elif subject.detector.differentiable and not bool(gradient_of(subject.scores, image).isfinite().all()):
+        elif subject.detector.differentiable and not bool(gradient_of(subject.sureness, image).isfinite().all()):
             wrong.append(f"{name}: gradients are not finite")
     return Finding(not wrong, "; ".join(wrong) or "black, white and noise are answered with numbers")
 
@@ -167,7 +177,7 @@ def gradient(subject: Subject) -> Finding:
     """
     if not subject.detector.differentiable:
         return Finding(None, "a black box has none", {"gradient_error": None})
-    error = gradient_error(subject.scores, next(subject.batches())[:1])
+    error = gradient_error(subject.sureness, subject.few[:1])
     if error is None:
         return Finding(False, "no finite gradient but zero", {"gradient_error": None})
     words, passed = f"the slope along it is {error:.1%} off a finite difference", error <= AGREES
@@ -183,50 +193,41 @@ def descent(subject: Subject) -> Finding:
     Each of a few steps looks along the sign of the gradient at several widths and keeps each image's lowest score:
     detectors are rough, and one image may sit on an edge. Their logits' mean must fall; images that stay are told.
     """
-    detector = subject.detector
+    detector, images = subject.detector, subject.few
     if not detector.differentiable:
         return Finding(None, "a black box has no way down")
-    images = next(subject.batches())
-    before = lowest = _forward(detector, images)
+    before = lowest = _best(detector, images)
     for _ in range(DESCENTS):
         way, here = _uphill(detector, images).sign(), images
         for width in WIDTHS:
             tried = (here - width * way).clamp(0, 1)
-            reached = _forward(detector, tried)
+            reached = _best(detector, tried)
             better = reached < lowest
             images = torch.where(better[:, None, None, None], tried, images)
             lowest = torch.where(better, reached, lowest)
     fall = torch.logit(before.double(), SURE) - torch.logit(lowest.double(), SURE)
     stuck = [str(number + 1) for number in (fall < LEAST_FALL).nonzero()[:, 0].tolist()]
-    words = f"best person scores {_listed(before)} fall to {_listed(lowest)} in {DESCENTS} steps of at most 1/255"
+    scores = [" ".join(f"{score:.3g}" for score in some.tolist()) for some in (before, lowest)]
+    words = f"best person scores {' fall to '.join(scores)} in {DESCENTS} steps of at most 1/255"
     words += f"; image {', '.join(stuck)} of {len(images)} tells nothing" if stuck else ""
     return Finding(float(fall.mean()) >= LEAST_FALL, words)
-
-
-def _uphill(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-    pixels = images.clone().requires_grad_()
-    with torch.enable_grad():
-        best = max_person_score(detector(pixels))
-        (gradient,) = torch.autograd.grad(best.clamp(min=1e-30).log().sum(), pixels)
-    return gradient
 
 
 @torch.no_grad()
 def parity(subject: Subject) -> Finding:
     """Compare with the original, one by one and four images at a time."""
     if subject.original is None:
-        nothing = {"parity_scores": None, "parity_boxes_px": None}
         why = getattr(subject.detector, "black_box", "")
         words = f"it runs in its own runtime alone: {why}" if why else "there is no other runtime to compare it with"
-        return Finding(None, words, nothing)
+        return Finding(None, words, {"parity_scores": None, "parity_boxes_px": None})
     worst = Apart(0.0, 0.0)
     for images in subject.batches():
         together = subject.detector(images)
         for i, image in enumerate(images.split(1)):
             expected = subject.original(image)
             for found in (subject.detector(image), row(together, i)):
-                worst = Apart(*map(max, worst, apart(found, expected, subject.size)))
-    words = f"on {len(subject.images)} images, {_distance(worst, 'it and its original')}"
+                worst = worst.joined(apart(found, expected, subject.size))
+    words = f"on {len(subject.images)} images, it and its original {worst}"
     return Finding(worst.same, words, {"parity_scores": worst.scores, "parity_boxes_px": worst.boxes_px})
 
 
@@ -238,9 +239,8 @@ def other_size(subject: Subject) -> Finding:
     shows only away from the network's own size. Pixels are repeated, so that a network that resizes images sees the
     same ones.
     """
-    images = next(subject.batches())
-    larger = interpolate(images, scale_factor=2, mode="nearest")
-    usual, large = subject.detector(images), subject.detector(larger)
+    images = subject.few
+    usual, large = subject.detector(images), subject.detector(interpolate(images, scale_factor=2, mode="nearest"))
     grown = stayed = 0
     for i in range(len(images)):
         if min(float(max_person_score(row(found, i))) for found in (usual, large)) > CLEAR:
@@ -255,12 +255,21 @@ def other_size(subject: Subject) -> Finding:
 
 def speed(subject: Subject) -> Finding:
     """Time it beside the original on the same threads, in turns; told, not judged: machines are busy."""
-    images, ways = next(subject.batches()), {"forward": lambda: _forward(subject.detector, images)}
+    images, ways = subject.few, {"forward": lambda: _best(subject.detector, images)}
     if subject.detector.differentiable:
         ways["gradient"] = lambda: _uphill(subject.detector, images)
     if subject.original is not None:
-        ways["original"] = lambda: _forward(subject.original, images)
-    took = _in_turns(ways, subject.repeats)
+        ways["original"] = lambda: _best(subject.original, images)
+    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    for turn in range(subject.repeats + 1):  # the first warms up
+        for name, work in ways.items():
+            start = time.perf_counter()
+            work()
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            if turn:
+                seconds[name].append(time.perf_counter() - start)
+    took = {name: statistics.median(values) for name, values in seconds.items()}
     figures = {f"{name}_ms": 1000 * seconds / len(images) for name, seconds in took.items()}
     figures["forward_ratio"] = took["forward"] / took["original"] if "original" in took else None
     figures["gradient_ratio"] = took["gradient"] / took["forward"] if "gradient" in took else None
@@ -272,33 +281,16 @@ def speed(subject: Subject) -> Finding:
     return Finding(None, words, figures)
 
 
-def _in_turns(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Measure the median seconds of each; the first turn warms up."""
-    seconds: dict[str, list[float]] = {name: [] for name in ways}
-    for turn in range(repeats + 1):
-        for name, work in ways.items():
-            start = time.perf_counter()
-            work()
-            if torch.cuda.is_available():
-                torch.cuda.synchronize()
-            if turn:
-                seconds[name].append(time.perf_counter() - start)
-    return {name: statistics.median(values) for name, values in seconds.items()}
-
-
 @torch.no_grad()
-def _forward(detector: Detector, images: Tensor) -> Tensor:
+def _best(detector: Detector, images: Tensor) -> Tensor:
     return max_person_score(detector(images))
+
+
+def _uphill(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+    """Compute the gradient of the logarithm of each image's best person score."""
+    return gradient_of(lambda pixels: max_person_score(detector(pixels)).clamp(min=1e-30).log().sum(), images)
 
 
 def row(found: Detections, index: int) -> Detections:
     """Take the detections of one of several images."""
-    return Detections(*(None if part is None else part[index : index + 1] for part in found))
-
-
-def _distance(apart: Apart, what: str) -> str:
-    return f"{what} differ by {apart.scores:.1e} in scores and {apart.boxes_px:.1e} px in boxes"
-
-
-def _listed(values: Tensor) -> str:
-    return " ".join(f"{value:.3g}" for value in values.tolist())
+    return found.each(lambda part: part[index : index + 1])

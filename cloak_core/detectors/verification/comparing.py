@@ -44,6 +44,13 @@ class Apart(NamedTuple):
     def same(self) -> bool:
         return self.scores <= SCORES and self.boxes_px <= BOXES_PX
 
+    def joined(self, other: Apart) -> Apart:
+        """The larger of both differences."""
+        return Apart(max(self.scores, other.scores), max(self.boxes_px, other.boxes_px))
+
+    def __str__(self) -> str:
+        return f"differ by {self.scores:.1e} in scores and {self.boxes_px:.1e} px in boxes"
+
 
 def apart(some: Detections, others: Detections, size: tuple[int, int]) -> Apart:
     """Measure how far two answers to one image of (height, width) `size` are apart.
@@ -54,8 +61,9 @@ def apart(some: Detections, others: Detections, size: tuple[int, int]) -> Apart:
     persons = _rows_apart(*(_rows(found.boxes, found.scores, size) for found in (some, others)))
     if some.other is None or others.other is None:
         return persons if some.other is others.other else Apart(math.inf, math.inf)
-    rest = _rows_apart(*(_rows(found.boxes, found.other, size, found.other_class) for found in (some, others)))
-    return Apart(*map(max, persons, rest))
+    return persons.joined(
+        _rows_apart(*(_rows(found.boxes, found.other, size, found.other_class) for found in (some, others)))
+    )
 
 
 def _rows_apart(a: Float[Tensor, "N C"], b: Float[Tensor, "M C"]) -> Apart:
@@ -72,7 +80,7 @@ def _rows_apart(a: Float[Tensor, "N C"], b: Float[Tensor, "M C"]) -> Apart:
 
 def in_any_order(a: Float[Tensor, "N C"], b: Float[Tensor, "M C"]) -> Apart:
     """Compare each row of boxes and scores with the one most like it on the other side, both ways."""
-    return Apart(*map(max, _nearest(a, b), _nearest(b, a)))
+    return _nearest(a, b).joined(_nearest(b, a))
 
 
 def _rows(
@@ -124,24 +132,24 @@ def sureness(scores: Float[Tensor, "*shape"]) -> Float[Tensor, ""]:
     return flat.clamp(min=1e-30).log().topk(min(SURE, len(flat))).values.sum()
 
 
-def gradient_of(scores: Callable[[Tensor], Tensor], images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-    """Compute the gradient of the sureness of `scores(images)`; zero where no path leads to the pixels."""
+def gradient_of(total: Callable[[Tensor], Tensor], images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+    """Compute the gradient of `total(images)`, one number; zero where no path leads to the pixels."""
     pixels = images.clone().requires_grad_()
     with torch.enable_grad():
-        total = sureness(scores(pixels))
-        if not total.requires_grad:
+        value = total(pixels)
+        if not value.requires_grad:
             return torch.zeros_like(images)
-        (gradient,) = torch.autograd.grad(total, pixels, allow_unused=True)
+        (gradient,) = torch.autograd.grad(value, pixels, allow_unused=True)
     return torch.zeros_like(images) if gradient is None else gradient
 
 
-def gradient_error(scores: Callable[[Tensor], Tensor], image: Float[Tensor, "1 3 H W"]) -> float | None:
-    """Compare the slope along the gradient with finite differences: the relative error.
+def gradient_error(total: Callable[[Tensor], Tensor], image: Float[Tensor, "1 3 H W"]) -> float | None:
+    """Compare the slope of `total(image)` along its gradient with finite differences: the relative error.
 
     At the first of several step widths where the two agree well, else at the best, because networks are rough and
     float32 is coarse. None where there is no finite gradient, or none but zero.
     """
-    gradient = gradient_of(scores, image)
+    gradient = gradient_of(total, image)
     length = float(gradient.norm())
     if not np.isfinite(length) or length == 0:
         return None
@@ -149,7 +157,7 @@ def gradient_error(scores: Callable[[Tensor], Tensor], image: Float[Tensor, "1 3
     with torch.no_grad():
         for step in (s for s in STEPS if s >= LEAST_STEP or s * length >= LEAST_CHANGE):
             way = step * gradient / length
-            slope = float(sureness(scores(image + way)) - sureness(scores(image - way))) / (2 * step)
+            slope = float(total(image + way) - total(image - way)) / (2 * step)
             best = min(best, abs(slope - length) / length)
             if best < AGREES / 4:
                 break

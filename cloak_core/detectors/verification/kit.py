@@ -117,13 +117,12 @@ def _in_turn(
             continue
         try:
             findings[name] = check(subject)
+            cause = name if name == "shapes" and findings[name].passed is False else ""
         except (MemoryError, torch.OutOfMemoryError):
             raise
         except Exception as error:  # anything that a wrapper raises is one of the ways in which it fails
             _log.info("%s", subject.detector.spec, exc_info=error)
             findings[name] = Finding(False, f"{type(error).__name__}: {first_line(error)[:200]}")
-            cause = name
-        if name == "shapes" and findings[name].passed is False:
             cause = name
         on_check()
     return findings
