@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, fx, nn
 
-from cloak_core.detectors.onnx_family.simplify import cut
+from cloak_core.detectors.onnx_family.simplify import attribute, cut
 
 REARRANGING = {"reshape", "cut", "getitem", "OnnxTranspose", "OnnxGather", "OnnxSplit", "OnnxSplit13"}
 """Names of functions and modules that move values without changing them."""
@@ -36,17 +36,20 @@ def order_channels(graph: fx.GraphModule, image: Tensor, weights: bool = True) -
     weights: the order may go into the weights of a convolution.
     """
     modules = dict(graph.named_modules())
-    nodes = [node for node in graph.graph.nodes if _rearranges(node, modules)]
-    if not any(_name(node, modules).startswith("Onnx") for node in nodes):
+    names = {node: _name(node, modules) for node in graph.graph.nodes}
+    moving = [node for node, name in names.items() if name in REARRANGING]
+    if not any(names[node].startswith("Onnx") for node in moving):
         return
     ShapeRecorder(graph).run(image)
-    for node in nodes:
-        if all(_rearranges(user, modules) for user in node.users):
+    for node in moving:
+        if all(names.get(user) in REARRANGING for user in node.users):
             continue  # not the end of its chain
-        chain = _chain(node, modules)
+        chain = [node]
+        while names[chain[0]] in REARRANGING:
+            chain.insert(0, chain[0].args[0])
         order = _order(chain, modules, graph)
-        if order is not None:
-            _replace(chain, order, modules, graph, weights)
+        if order is not None and not (weights and _into_convolution(chain, order, modules)):
+            _replace(chain, order, graph)
     graph.graph.eliminate_dead_code()
     graph.delete_all_unused_submodules()
     graph.recompile()
@@ -60,19 +63,10 @@ def interleave(x: Tensor, starts: Sequence[int], count: int) -> Tensor:
 
 
 def _name(node: fx.Node, modules: dict[str, nn.Module]) -> str:
-    return type(modules[node.target]).__name__ if node.op == "call_module" else getattr(node.target, "__name__", "")
-
-
-def _rearranges(node: fx.Node, modules: dict[str, nn.Module]) -> bool:
-    return node.op in ("call_module", "call_function") and _name(node, modules) in REARRANGING
-
-
-def _chain(end: fx.Node, modules: dict[str, nn.Module]) -> list[fx.Node]:
-    """Collect the nodes of a chain, from its source to its end."""
-    chain = [end]
-    while _rearranges(chain[0], modules):
-        chain.insert(0, chain[0].args[0])
-    return chain
+    """Name what a node calls, a module's class or a function; "" for none."""
+    if node.op == "call_module":
+        return type(modules[node.target]).__name__
+    return getattr(node.target, "__name__", "") if node.op == "call_function" else ""
 
 
 def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphModule) -> Tensor | None:
@@ -85,7 +79,7 @@ def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphM
     values: object = numbers
     try:
         for node in chain[1:]:
-            others = [_constant(argument, graph) for argument in node.args[1:]]
+            others = [attribute(part, graph) if isinstance(part, fx.Node) else part for part in node.args[1:]]
             run = modules[node.target] if node.op == "call_module" else node.target
             values = run(values, *others)
     except (RuntimeError, IndexError, ValueError, AttributeError):  # numbers of several images do not fit through
@@ -96,33 +90,10 @@ def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphM
     return order if torch.equal(numbers[:, order], values) else None
 
 
-def _constant(argument: object, graph: fx.GraphModule) -> object:
-    """Give a tensor of the graph's own, or an argument that is no node."""
-    if not isinstance(argument, fx.Node):
-        return argument
-    owner, _, name = argument.target.rpartition(".")
-    return getattr(graph.get_submodule(owner), name)
-
-
-def _replace(
-    chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module], graph: fx.GraphModule, weights: bool
-) -> None:
-    source, end = chain[0], chain[-1]
-    if weights and _into_convolution(end, order, source.meta["shape"][1], modules):
-        end.replace_all_uses_with(source)
-        return
-    plainer = _plainer(order)
-    if plainer is None:
-        return
-    function, arguments = plainer
-    with graph.graph.inserting_before(end):
-        rewritten = graph.graph.call_function(function, (source, *arguments))
-    rewritten.meta = dict(end.meta)
-    end.replace_all_uses_with(rewritten)
-
-
-def _into_convolution(end: fx.Node, order: Tensor, channels: int, modules: dict[str, nn.Module]) -> bool:
+def _into_convolution(chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module]) -> bool:
     """Reorder the weights of the one convolution that reads all channels; tell whether there is one."""
+    source, end = chain[0], chain[-1]
+    channels = source.meta["shape"][1]
     if len(end.users) != 1 or len(order) != channels or len(order.unique()) != channels:
         return False
     (user,) = end.users
@@ -130,17 +101,29 @@ def _into_convolution(end: fx.Node, order: Tensor, channels: int, modules: dict[
     if type(conv) is not nn.Conv2d or conv.groups != 1:
         return False
     conv.weight.copy_(conv.weight[:, order.argsort()])
+    end.replace_all_uses_with(source)
     return True
 
 
-def _plainer(order: Tensor) -> tuple | None:
-    """Find a plain operation for an order: a strided view, or runs by turns; None for neither."""
-    if len(order) < 2:
-        return None
+def _replace(chain: list[fx.Node], order: Tensor, graph: fx.GraphModule) -> None:
+    """Replace a chain by a plain operation, a strided view or runs by turns; leave it where its order is neither."""
+    source, end = chain[0], chain[-1]
     steps = order.diff()
+    if len(order) < 2:
+        return
     if bool((steps == steps[0]).all()) and steps[0] > 0:
-        return cut, (((1, int(order[0]), int(order[-1]) + 1, int(steps[0])),),)
-    for turns in range(2, 5):
-        if len(order) % turns == 0 and bool((order.view(-1, turns).diff(dim=0) == 1).all()):
-            return interleave, (tuple(order[:turns].tolist()), len(order) // turns)
-    return None
+        function, arguments = cut, (((1, int(order[0]), int(order[-1]) + 1, int(steps[0])),),)
+    else:
+        fitting = (
+            turns
+            for turns in range(2, 5)
+            if len(order) % turns == 0 and bool((order.view(-1, turns).diff(dim=0) == 1).all())
+        )
+        turns = next(fitting, 0)
+        if not turns:
+            return
+        function, arguments = interleave, (tuple(order[:turns].tolist()), len(order) // turns)
+    with graph.graph.inserting_before(end):
+        rewritten = graph.graph.call_function(function, (source, *arguments))
+    rewritten.meta = dict(end.meta)
+    end.replace_all_uses_with(rewritten)

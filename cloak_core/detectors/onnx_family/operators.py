@@ -93,48 +93,32 @@ def _rewrite(node: onnx.NodeProto, constants: Constants) -> None:
         # 0 means an empty tensor here, else the extent that stands there; of a computed shape no extent is 0.
         shape = constants.get(node.input[1])
         if shape is None or numpy_helper.to_array(shape).all():
-            _drop(node, "allowzero")
-
-
-def _drop(node: onnx.NodeProto, name: str) -> None:
-    for attribute in [a for a in node.attribute if a.name == name]:
-        node.attribute.remove(attribute)
+            for attribute in [a for a in node.attribute if a.name == "allowzero"]:
+                node.attribute.remove(attribute)
 
 
 class Function(nn.Module):
     """A function of tensors as a module."""
 
-    def __init__(self, function: Callable[..., Tensor]) -> None:
+    def __init__(self, function: Callable[..., Tensor | tuple[Tensor, ...]]) -> None:
         super().__init__()
         self.function = function
 
-    def forward(self, *tensors: Tensor) -> Tensor:
+    def forward(self, *tensors: Tensor) -> Tensor | tuple[Tensor, ...]:
         return self.function(*tensors)
 
 
-class EvenSplit(nn.Module):
-    """Split into equal parts. The last may be smaller; a single part is the whole tensor."""
-
-    def __init__(self, count: int, axis: int) -> None:
-        super().__init__()
-        self.count, self.axis = count, axis
-
-    def forward(self, x: Tensor, sizes: Tensor | None = None) -> tuple[Tensor, ...] | Tensor:
-        return x if self.count == 1 else x.split(-(-x.shape[self.axis] // self.count), self.axis)
-
-
-Build = Callable[[OnnxNode], nn.Module]
 TRANSLATED: dict[str, Callable[[onnx.NodeProto, Constants], bool]] = {}
 """Operators that are translated here, and for which of their nodes."""
 
 
 def _translates(operation: str, where: Callable[[onnx.NodeProto, Constants], bool] = lambda *_: True) -> Callable:
-    """Register what makes a module of an operator's node."""
+    """Register what makes a function of tensors of an operator's node."""
 
-    def register(build: Build) -> Build:
+    def register(build: Callable[[OnnxNode], Callable]) -> Callable[[OnnxNode], Callable]:
         def convert(node: OnnxNode, graph: OnnxGraph) -> OperationConverterResult:
             inputs = tuple(name for name in node.input_values if name)
-            return OperationConverterResult(build(node), OnnxMapping(inputs, node.output_values))
+            return OperationConverterResult(Function(build(node)), OnnxMapping(inputs, node.output_values))
 
         add_converter(operation, 1, OURS)(convert)
         TRANSLATED[operation] = where
@@ -143,33 +127,22 @@ def _translates(operation: str, where: Callable[[onnx.NodeProto, Constants], boo
     return register
 
 
-def _clips_otherwise(node: onnx.NodeProto, constants: Constants) -> bool:
-    return len(node.input) > 1 and not all(name in constants for name in node.input[1:])
-
-
-@_translates("Clip", _clips_otherwise)
-def _clip(node: OnnxNode) -> nn.Module:
+@_translates("Clip", lambda node, constants: len(node.input) > 1 and not all(n in constants for n in node.input[1:]))
+def _clip(node: OnnxNode) -> Callable:
     """Clip by bounds that are computed, or by one of two."""
     bounds = [name for name, value in zip(("min", "max"), node.input_values[1:], strict=False) if value]
-    return Function(partial(_clamp, bounds))
-
-
-def _clamp(bounds: list[str], x: Tensor, *values: Tensor) -> Tensor:
-    return torch.clamp(x, **dict(zip(bounds, values, strict=True)))
+    return lambda x, *values: torch.clamp(x, **dict(zip(bounds, values, strict=True)))
 
 
 @_translates("Flatten")
-def _flatten(node: OnnxNode) -> nn.Module:
-    return Function(partial(_flatten_before, node.attributes.get("axis", 1)))
-
-
-def _flatten_before(axis: int, x: Tensor) -> Tensor:
-    return x.reshape(math.prod(x.shape[:axis]), -1)
+def _flatten(node: OnnxNode) -> Callable:
+    axis = node.attributes.get("axis", 1)
+    return lambda x: x.reshape(math.prod(x.shape[:axis]), -1)
 
 
 @_translates("Gelu")
-def _gelu(node: OnnxNode) -> nn.Module:
-    return Function(partial(F.gelu, approximate=node.attributes.get("approximate", "none")))
+def _gelu(node: OnnxNode) -> Callable:
+    return partial(F.gelu, approximate=node.attributes.get("approximate", "none"))
 
 
 SAMPLING = {"linear": "bilinear", "cubic": "bicubic"}
@@ -177,43 +150,32 @@ SAMPLING = {"linear": "bilinear", "cubic": "bicubic"}
 
 
 @_translates("GridSample")
-def _grid_sample(node: OnnxNode) -> nn.Module:
+def _grid_sample(node: OnnxNode) -> Callable:
     mode, padding = node.attributes.get("mode", "linear"), node.attributes.get("padding_mode", "zeros")
     corners = bool(node.attributes.get("align_corners", 0))
-    return Function(partial(F.grid_sample, mode=SAMPLING.get(mode, mode), padding_mode=padding, align_corners=corners))
+    return partial(F.grid_sample, mode=SAMPLING.get(mode, mode), padding_mode=padding, align_corners=corners)
 
 
 @_translates("LayerNormalization", lambda node, _: len(node.output) == 1)
-def _layer_norm(node: OnnxNode) -> nn.Module:
+def _layer_norm(node: OnnxNode) -> Callable:
     axis, epsilon = node.attributes.get("axis", -1), node.attributes.get("epsilon", 1e-5)
-    return Function(partial(_normalize_from, axis, epsilon))
+    return lambda x, scale, bias=None: F.layer_norm(x, x.shape[axis:], scale, bias, epsilon)
 
 
-def _normalize_from(axis: int, epsilon: float, x: Tensor, scale: Tensor, bias: Tensor | None = None) -> Tensor:
-    return F.layer_norm(x, x.shape[axis:], scale, bias, epsilon)
-
-
-def _splits_otherwise(node: onnx.NodeProto, constants: Constants) -> bool:
-    return len(node.output) == 1 or any(attribute.name == "num_outputs" for attribute in node.attribute)
-
-
-@_translates("Split", _splits_otherwise)
-def _split(node: OnnxNode) -> nn.Module:
-    return EvenSplit(len(node.output_values), node.attributes.get("axis", 0))
-
-
-class TopK(nn.Module):
-    """The best along an axis and where they stand; of equal ones the first, which torch leaves open."""
-
-    def __init__(self, axis: int, largest: bool) -> None:
-        super().__init__()
-        self.axis, self.largest = axis, largest
-
-    def forward(self, x: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
-        ordered = x.sort(dim=self.axis, descending=self.largest, stable=True)
-        return tuple(part.narrow(self.axis, 0, int(count)) for part in ordered)
+@_translates("Split", lambda node, _: len(node.output) == 1 or any(a.name == "num_outputs" for a in node.attribute))
+def _split(node: OnnxNode) -> Callable:
+    """Split into equal parts, of which the last may be smaller; a single part is the whole tensor."""
+    count, axis = len(node.output_values), node.attributes.get("axis", 0)
+    return lambda x, sizes=None: x if count == 1 else x.split(-(-x.shape[axis] // count), axis)
 
 
 @_translates("TopK", lambda node, _: len(node.input) == 2)
-def _top_k(node: OnnxNode) -> nn.Module:
-    return TopK(node.attributes.get("axis", -1), bool(node.attributes.get("largest", 1)))
+def _top_k(node: OnnxNode) -> Callable:
+    """The best along an axis and where they stand; of equal ones the first, which torch leaves open."""
+    axis, largest = node.attributes.get("axis", -1), bool(node.attributes.get("largest", 1))
+
+    def top_k(x: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
+        ordered = x.sort(dim=axis, descending=largest, stable=True)
+        return tuple(part.narrow(axis, 0, int(count)) for part in ordered)
+
+    return top_k

@@ -51,6 +51,7 @@ def activate_in_place(graph: fx.GraphModule) -> None:
 
 
 Plainer = tuple[Callable, tuple] | None
+"""A function, and its arguments."""
 
 
 def _silu(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
@@ -66,7 +67,7 @@ def _silu(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
 
 def _slice(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
     x, *given = node.args
-    known = [_numbers(_constant(value, graph)) for value in given]
+    known = [value if value is None else tuple(value.tolist()) for value in (constant(v, graph) for v in given)]
     starts, ends, axes, steps = (*known, None, None)[:4]
     if None in known[2:] or min(steps or (1,)) < 1:
         return None
@@ -91,10 +92,6 @@ def _slices(
     return tuple((int(a), int(b), int(e), int(s)) for a, b, e, s in zip(axes, starts, ends, steps, strict=True))
 
 
-def _numbers(values: np.ndarray | None) -> tuple[int, ...] | None:
-    return None if values is None else tuple(values.tolist())
-
-
 def cut(x: Tensor, slices: tuple[tuple[int, int, int, int], ...]) -> Tensor:
     """Slice by several (axis, start, end, step) at once; ends beyond the tensor are its end."""
     index = [slice(None)] * x.dim()
@@ -104,7 +101,7 @@ def cut(x: Tensor, slices: tuple[tuple[int, int, int, int], ...]) -> Tensor:
 
 
 def _reshape(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
-    shape = _constant(node.args[1], graph)
+    shape = constant(node.args[1], graph)
     return None if shape is None else (reshape, (node.args[0], tuple(map(int, shape))))
 
 
@@ -115,7 +112,7 @@ def reshape(x: Tensor, shape: tuple[int, ...]) -> Tensor:
 
 def _gather(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
     """Replace a regular list of channels by a slice, which is a view and no copy."""
-    index = _constant(node.args[1], graph)
+    index = constant(node.args[1], graph)
     if index is None or index.ndim != 1 or len(index) < 2 or index.min() < 0:
         return None
     steps = np.unique(np.diff(index))
@@ -124,13 +121,18 @@ def _gather(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
     return cut, (node.args[0], ((module._axis, int(index[0]), int(index[-1]) + 1, int(steps[0])),))
 
 
-def _constant(value: object, graph: fx.GraphModule) -> np.ndarray | None:
+def constant(value: object, graph: fx.GraphModule) -> np.ndarray | None:
     """Give what a node always is; None where it is computed. Of integers only: indices, not weights."""
     if not isinstance(value, fx.Node) or value.op != "get_attr":
         return None
-    owner, _, name = value.target.rpartition(".")
-    tensor = getattr(graph.get_submodule(owner), name)
+    tensor = attribute(value, graph)
     return tensor.cpu().numpy() if isinstance(tensor, Tensor) and not tensor.is_floating_point() else None
+
+
+def attribute(node: fx.Node, graph: fx.GraphModule) -> object:
+    """Give what of the graph's own a node names."""
+    owner, _, name = node.target.rpartition(".")
+    return getattr(graph.get_submodule(owner), name)
 
 
 REWRITES: dict[str, Callable[[fx.Node, nn.Module, fx.GraphModule], Plainer]] = {

@@ -60,13 +60,15 @@ class TrainableWeights:
 
         self._owners, tensors = _owners(original.graph), _tensors(original.graph)
         uses = self._uses(graph, model)
-        reads = Counter(self._owners.get(name, name) for name in _reads(original.graph))
+        read = [name for node in original.graph.node if node.op_type not in COPIES for name in reads(node)]
+        read += [output.name for output in original.graph.output]
+        times = Counter(self._owners.get(name, name) for name in read)
         self.uses: dict[str, Use] = {}
         self.parameters: dict[str, nn.Parameter] = {}
         """By the name of the initializer, or of the output of the Constant node."""
         self._before: dict[str, Tensor] = {}
         for name, places in uses.items():
-            alike = reads[name] == len(places) and len({(use.transposed, use.scale) for use in places}) == 1
+            alike = times[name] == len(places) and len({(use.transposed, use.scale) for use in places}) == 1
             # What would not go back into the file as it came out of it (a factor of 0, say) is not trained.
             held = _as_in_the_file(_tensor_at(graph, places[0]), places[0])
             if alike and name in tensors and np.array_equal(held, numpy_helper.to_array(tensors[name])):
@@ -122,7 +124,12 @@ class TrainableWeights:
                 continue  # replaced by something plainer, which has no weights
             for position, use in _places(node, graph.get_submodule(path), path, arguments[path], kinds):
                 name = node.input_values[position]
-                if name in file.initializers and _is_learned(file.initializers[name].to_numpy()):
+                if name not in file.initializers:
+                    continue
+                values = file.initializers[name].to_numpy()
+                # Vectors may be whole numbers: biases begin as zeros, scales as ones.
+                fractions = values.ndim == 1 or bool((values != np.round(values)).any())
+                if np.issubdtype(values.dtype, np.floating) and fractions:
                     found[self._owners.get(name, name)].append(use)
         return found
 
@@ -162,11 +169,6 @@ def _as_in_the_file(value: Tensor, use: Use) -> Shaped[np.ndarray, "*n"]:
     return np.ascontiguousarray((values.T if use.transposed else values).numpy())
 
 
-def _is_learned(values: Shaped[np.ndarray, "*n"]) -> bool:
-    """Tell whether an array is one of fractions, or a vector: biases may begin as zeros, scales as ones."""
-    return np.issubdtype(values.dtype, np.floating) and (values.ndim == 1 or bool((values != np.round(values)).any()))
-
-
 def reads(node: onnx.NodeProto) -> Iterator[str]:
     """Yield the names of the tensors that a node reads, those of the graphs in it included."""
     yield from node.input
@@ -175,14 +177,6 @@ def reads(node: onnx.NodeProto) -> Iterator[str]:
             for step in inner.node:
                 yield from reads(step)
             yield from (output.name for output in inner.output)
-
-
-def _reads(graph: onnx.GraphProto) -> Iterator[str]:
-    """Yield the inputs of every node that does more than copy, then the graph's outputs."""
-    for node in graph.node:
-        if node.op_type not in COPIES:
-            yield from reads(node)
-    yield from (output.name for output in graph.output)
 
 
 def _owners(graph: onnx.GraphProto) -> dict[str, str]:

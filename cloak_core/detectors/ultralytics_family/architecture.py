@@ -77,7 +77,9 @@ def build(architecture: dict, where: str) -> nn.Module:
     InputError: a description that is none, asks for what is refused, or cannot be built.
     """
     with library() as tasks:
-        architecture = _renamed(architecture)
+        match architecture.get("backbone"):
+            case [[place, repeats, "Silence", arguments], *rest]:  # early YOLOv9 files call one layer so
+                architecture = architecture | {"backbone": [[place, repeats, "nn.Identity", arguments], *rest]}
         head = check(architecture, tasks, where)
         kind = tasks.RTDETRDetectionModel if head == QUERIES else tasks.DetectionModel
         try:
@@ -102,7 +104,11 @@ def fuse(model: nn.Module) -> None:
 
 def check(architecture: dict, tasks: ModuleType, where: str) -> str:
     """Check a description, and give the name of its head. InputError: something is refused."""
-    layers = _layers(architecture, where)
+    parts = [architecture.get(part) for part in ("backbone", "head")]
+    layers = [layer for part in parts if isinstance(part, list) for layer in part]
+    whole = all(isinstance(one, list | tuple) and len(one) == 4 and isinstance(one[1], int) for one in layers)
+    if not layers or not whole or len(layers) > MAX_LAYERS:
+        raise InputError(f"{where}: describes no network (backbone and head: lists of [from, number, module, args])")
     for _, repeats, name, arguments in layers:
         if not _is_layer(name, tasks):
             raise InputError(f"{where}: a layer {str(name)[:60]!r}, which is none of ultralytics' or torch's")
@@ -123,24 +129,6 @@ def check(architecture: dict, tasks: ModuleType, where: str) -> str:
     if head not in (*DENSE, QUERIES):
         raise InputError(f"{where}: its head is {head}; detection is needed ({', '.join(DENSE)} or {QUERIES})")
     return head
-
-
-def _renamed(architecture: dict) -> dict:
-    """Rename the one layer that early YOLOv9 files call otherwise."""
-    backbone = architecture.get("backbone")
-    if not isinstance(backbone, list) or not backbone or "Silence" not in backbone[0]:
-        return architecture
-    first = ["nn.Identity" if part == "Silence" else part for part in backbone[0]]
-    return architecture | {"backbone": [first, *backbone[1:]]}
-
-
-def _layers(architecture: dict, where: str) -> list[tuple]:
-    parts = [architecture.get(part) for part in ("backbone", "head")]
-    layers = [layer for part in parts if isinstance(part, list) for layer in part]
-    whole = all(isinstance(layer, list | tuple) and len(layer) == 4 for layer in layers)
-    if not layers or not whole or len(layers) > MAX_LAYERS or not all(isinstance(layer[1], int) for layer in layers):
-        raise InputError(f"{where}: describes no network (backbone and head: lists of [from, number, module, args])")
-    return [tuple(layer) for layer in layers]
 
 
 def _is_layer(name: object, tasks: ModuleType) -> bool:
@@ -175,9 +163,11 @@ def settle_batch_norm(model: nn.Module) -> None:
     (compare arXiv:1511.06422). Worked out in float64, for threads change sums in float32.
     """
     generator = torch.Generator().manual_seed(SEED)
+    patches = [torch.rand(2, 3, n, n, dtype=torch.float64, generator=generator) - 0.5 for n in SCALES]
+    noise = (0.5 + sum(F.interpolate(p, size=SIDE, mode="bilinear") for p in patches)).clamp(0, 1)
     hooks = [m.register_forward_pre_hook(_settle) for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
     with torch.no_grad():
-        model.double()(_noise(generator))
+        model.double()(noise)
     for hook in hooks:
         hook.remove()
     model.float()
@@ -188,8 +178,3 @@ def _settle(norm: nn.BatchNorm2d, given: tuple[Float[Tensor, "B C h w"]]) -> Non
     norm.running_mean.copy_(x.mean(dim=(0, 2, 3)))
     # One for all channels: one that noise hardly reaches would be blown up by whatever does reach it in a photograph.
     norm.running_var.fill_(x.var(dim=(0, 2, 3), correction=0).mean())
-
-
-def _noise(generator: torch.Generator) -> Float[Tensor, "B 3 h w"]:
-    patches = [torch.rand(2, 3, n, n, dtype=torch.float64, generator=generator) - 0.5 for n in SCALES]
-    return (0.5 + sum(F.interpolate(p, size=SIDE, mode="bilinear") for p in patches)).clamp(0, 1)

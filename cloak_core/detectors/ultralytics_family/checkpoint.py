@@ -72,36 +72,27 @@ def read_checkpoint(path: Path) -> Checkpoint:
         raise InputError(f"{path}: its model is damaged ({type(error).__name__}: {first_line(error)[:80]})") from None
 
 
-def replace_weights(source: Path, target: Path, parameters: Mapping[str, Tensor]) -> None:
-    """Write `source` again as `target` with these parameters, by name, in the place of its model's; all else stays as
-    it is. InputError: as `read_checkpoint`; a parameter that it does not have in this shape."""
-
-    def replace(content: object) -> None:
-        modules: dict[str, Record] = {}
-        _collect(_model(content, source), "", modules, source)
-        for name, value in parameters.items():
-            module, _, own = name.rpartition(".")
-            there = modules[module].state["_parameters"].get(own) if module in modules else None
-            if not isinstance(there, np.ndarray) or there.shape != tuple(value.shape):
-                raise InputError(f"{source}: has no {name} of {tuple(value.shape)}")
-            there[...] = value.detach().cpu().numpy()
-
-    rewrite_torch_pickle(source, target, replace)
-
-
 def _understood(content: object, path: Path, digest: str) -> Checkpoint:
     model = _model(content, path)
     architecture = model.state.get("yaml")
     if not isinstance(architecture, dict):
         raise InputError(f"{path}: its model carries no description of its network (yaml)")
     original = _original(model, architecture, path)
-    modules: dict[str, Record] = {}
-    _collect(model, "", modules, path)
+    modules = _modules(model, path)
     state = _state(modules, path)
     said = content.get("train_args") if isinstance(content, dict) else None
-    size = _image_size(said.get("imgsz") if isinstance(said, dict) else None)
-    anchors, strides = _anchors(modules, state) if original else (None, ())
-    names = _names(model.state.get("names"))
+    size = said.get("imgsz") if isinstance(said, dict) else None
+    sides = size if isinstance(size, list | tuple) else [size]
+    is_size = 1 <= len(sides) <= 2 and all(isinstance(side, int) and side > 0 for side in sides)
+    anchors, strides = None, ()
+    if original:
+        head = f"model.{len(modules['model'].state['_modules']) - 1}"
+        strides = tuple(float(stride) for stride in modules[head].state["stride"])
+        anchors = state[f"{head}.anchors"] * torch.tensor(strides)[:, None, None]
+    names = names_of(model.state.get("names"))
+    if names == tuple(map(str, range(len(names or ())))):  # each is but its number
+        names = None
+    size = (sides[0], sides[-1]) if is_size else None
     return Checkpoint(path, digest, original, architecture, state, modules, names, size, anchors, strides)
 
 
@@ -135,56 +126,36 @@ def _original(model: Record, architecture: dict, path: Path) -> bool:
     )
 
 
-def _collect(record: Record, name: str, modules: dict[str, Record], path: Path) -> None:
-    """Collect all modules below one, by their names."""
-    modules[name] = record
-    if name.count(".") > MAX_DEPTH or len(modules) > MAX_MODULES:
-        raise InputError(f"{path}: modules inside modules without end")
-    for child, inner in record.state.get("_modules", {}).items():
-        if isinstance(inner, Record):
-            _collect(inner, f"{name}.{child}" if name else str(child), modules, path)
-
-
-def _anchors(modules: dict[str, Record], state: dict[str, Tensor]) -> tuple[Tensor, tuple[float, ...]]:
-    name = f"model.{len(modules['model'].state['_modules']) - 1}"
-    strides = tuple(float(stride) for stride in modules[name].state["stride"])
-    return state[f"{name}.anchors"] * torch.tensor(strides)[:, None, None], strides
+def _modules(model: Record, path: Path) -> dict[str, Record]:
+    """List a model and all modules below it, by their names."""
+    modules: dict[str, Record] = {}
+    waiting = [("", model)]
+    while waiting:
+        name, record = waiting.pop()
+        modules[name] = record
+        if name.count(".") > MAX_DEPTH or len(modules) > MAX_MODULES:
+            raise InputError(f"{path}: modules inside modules without end")
+        inner = [(f"{name}.{child}".lstrip("."), part) for child, part in record.state.get("_modules", {}).items()]
+        waiting += [(place, part) for place, part in reversed(inner) if isinstance(part, Record)]
+    return modules
 
 
 def _state(modules: dict[str, Record], path: Path) -> dict[str, Tensor]:
     state, left = {}, MAX_BYTES
     for prefix, record in modules.items():
         apart = record.state.get("_non_persistent_buffers_set", ())
-        for kind in ("_parameters", "_buffers"):
-            for name, value in record.state.get(kind, {}).items():
-                if not isinstance(value, np.ndarray) or name in apart:
-                    continue
-                left -= value.nbytes
-                if left < 0:
-                    raise InputError(f"{path}: its tensors take more memory than any model taken here")
-                key = f"{prefix}.{name}" if prefix else str(name)
-                state[key] = _tensor(value, key, path)
+        tensors = [*record.state.get("_parameters", {}).items(), *record.state.get("_buffers", {}).items()]
+        for name, value in tensors:
+            if not isinstance(value, np.ndarray) or name in apart:
+                continue
+            left -= value.nbytes
+            if left < 0:
+                raise InputError(f"{path}: its tensors take more memory than any model taken here")
+            key = f"{prefix}.{name}".lstrip(".")
+            state[key] = torch.from_numpy(value.astype(np.float32) if value.dtype.kind == "f" else value.copy())
+            if state[key].is_floating_point() and not bool(state[key].isfinite().all()):
+                raise InputError(f"{path}: {key} holds numbers that are not finite")
     return state
-
-
-def _tensor(value: np.ndarray, key: str, path: Path) -> Tensor:
-    tensor = torch.from_numpy(value.astype(np.float32) if value.dtype.kind == "f" else value.copy())
-    if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
-        raise InputError(f"{path}: {key} holds numbers that are not finite")
-    return tensor
-
-
-def _names(names: object) -> tuple[str, ...] | None:
-    """List class names in order; None where each is but its number."""
-    words = names_of(names)
-    return None if words == tuple(map(str, range(len(words or ())))) else words
-
-
-def _image_size(said: object) -> tuple[int, int] | None:
-    sides = said if isinstance(said, list | tuple) else [said]
-    if not 1 <= len(sides) <= 2 or not all(isinstance(side, int) and side > 0 for side in sides):
-        return None
-    return sides[0], sides[-1]
 
 
 def write_ultralytics(path: Path, network: nn.Module, source: Path) -> None:
@@ -194,7 +165,12 @@ def write_ultralytics(path: Path, network: nn.Module, source: Path) -> None:
     in, mostly half), so that whatever else it says stays. From a .yaml: a whole model of the package, in float32.
     """
     if source.suffix.lower() == ".pt":
-        replace_weights(source, path, _as_the_package_has_it(network))
+        own, last = network.model[-1], f"model.{len(network.model) - 1}."
+        parameters = dict(network.named_parameters())
+        if isinstance(own, DenseHead):  # under the names that they have in files
+            parameters = {name: value for name, value in parameters.items() if not name.startswith(last)}
+            parameters |= {f"{last}{name}": value for name, value in own.replaced[0].named_parameters()}
+        replace_weights(source, path, parameters)
         return
     with library():
         model = copy.deepcopy(network)
@@ -203,10 +179,17 @@ def write_ultralytics(path: Path, network: nn.Module, source: Path) -> None:
         replace_file(path, lambda file: torch.save(content, file))
 
 
-def _as_the_package_has_it(network: nn.Module) -> dict[str, Tensor]:
-    """List the parameters by the names that they have in files."""
-    own, last = network.model[-1], f"model.{len(network.model) - 1}."
-    if not isinstance(own, DenseHead):
-        return dict(network.named_parameters())
-    body = {name: value for name, value in network.named_parameters() if not name.startswith(last)}
-    return body | {f"{last}{name}": value for name, value in own.replaced[0].named_parameters()}
+def replace_weights(source: Path, target: Path, parameters: Mapping[str, Tensor]) -> None:
+    """Write `source` again as `target` with these parameters, by name, in the place of its model's; all else stays as
+    it is. InputError: as `read_checkpoint`; a parameter that it does not have in this shape."""
+
+    def replace(content: object) -> None:
+        modules = _modules(_model(content, source), source)
+        for name, value in parameters.items():
+            module, _, own = name.rpartition(".")
+            there = modules[module].state["_parameters"].get(own) if module in modules else None
+            if not isinstance(there, np.ndarray) or there.shape != tuple(value.shape):
+                raise InputError(f"{source}: has no {name} of {tuple(value.shape)}")
+            there[...] = value.detach().cpu().numpy()
+
+    rewrite_torch_pickle(source, target, replace)
