@@ -189,13 +189,11 @@ class Info(Command):
     """Camera distance, in metres, at which the projected face areas are told."""
 
     def run(self) -> dict:
-        from dataclasses import asdict
-
         from cloak_core.core.cameras import Camera
         from cloak_core.sources.bodies.logos.resolution import resolution
 
         bodies = load_scene(self.scene)
-        return describe(bodies) | {"resolution": asdict(resolution(bodies, Camera(distance=self.distance)))}
+        return describe(bodies) | {"resolution": resolution(bodies, Camera(distance=self.distance))}
 
     def show(self, result: dict) -> None:
         show_scene(result)

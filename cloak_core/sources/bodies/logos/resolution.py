@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float, Integer
 
@@ -15,24 +13,6 @@ from cloak_core.files.errors import InputError
 # Square pixels: below the first a face hardly moves a pixel; above the second it is a visible cell of plain colour.
 FINE, COARSE = 0.1, 8.0
 MAX_LEVEL = 2
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """Projected areas, in square pixels, of the faces that look at the camera (hidden or not)."""
-
-    faces: int
-    """How many of the faces asked for look at the camera."""
-    median: float
-    smallest_tenth: float
-    largest_tenth: float
-    """10th and 90th percentile."""
-    under_fine: float
-    """Share of faces under 0.1 px^2."""
-    level: int
-    """Subdivision level (0 to 2) that this picture calls for."""
-    hint: str
-    """The same in words."""
 
 
 def projected_areas(bodies: Bodies, camera: Camera, pose: int = 0) -> Float[np.ndarray, " faces"]:
@@ -52,8 +32,13 @@ def projected_areas(bodies: Bodies, camera: Camera, pose: int = 0) -> Float[np.n
 
 def resolution(
     bodies: Bodies, camera: Camera | None = None, face_ids: Integer[np.ndarray, " logo"] | None = None
-) -> Resolution:
-    """Report on a logo's faces (default: the whole body's) as a camera (default: training's) sees the first pose."""
+) -> dict[str, float | int | str]:
+    """Report on a logo's faces (default: the whole body's) as a camera (default: training's) sees the first pose.
+
+    faces: how many of them look at the camera, hidden or not; their projected areas in square pixels (median, 10th and
+    90th percentile), under_fine: share of those under 0.1 px^2, level: the subdivision level (0 to 2) that this picture
+    calls for, and hint: the same in words. InputError: none looks at the camera, or it stands in the body.
+    """
     camera = camera or Camera()
     areas = projected_areas(bodies, camera)
     areas = areas if face_ids is None else areas[face_ids]
@@ -61,26 +46,23 @@ def resolution(
     if not len(areas):
         raise InputError("no face looks at the camera")
     tenth, median, most = np.percentile(areas, [10, 50, 90])
+    under_fine = float((areas < FINE).mean())
     # Each level makes a face a quarter as large; it pays as long as that leaves most faces above the fine limit.
     level = next((n for n in range(MAX_LEVEL) if median / 4**n <= COARSE or median / 4 ** (n + 1) <= FINE), MAX_LEVEL)
-    return Resolution(
-        faces=len(areas),
-        median=float(median),
-        smallest_tenth=float(tenth),
-        largest_tenth=float(most),
-        under_fine=float((areas < FINE).mean()),
-        level=level,
-        hint=hint(median, float((areas < FINE).mean()), level, camera),
-    )
-
-
-def hint(median: float, under_fine: float, level: int, camera: Camera) -> str:
-    """Describe a picture with these areas in plain words."""
     where = f"at distance {camera.distance:g}, {camera.width} x {camera.height} pixels"
     if under_fine > 0.5:
-        return f"most faces are under {FINE:g} px² {where}: level 1 gains nothing, a coarser mesh would do"
-    if level:
-        return f"the median face is {median:.3g} px² {where}: level {level} makes it {median / 4**level:.2g} px²"
-    return (
-        f"the median face is {median:.2g} px² {where}: level 0 is fine enough, level 1 would make it {median / 4:.2g}"
-    )
+        hint = f"most faces are under {FINE:g} px² {where}: level 1 gains nothing, a coarser mesh would do"
+    elif level:
+        hint = f"the median face is {median:.3g} px² {where}: level {level} makes it {median / 4**level:.2g} px²"
+    else:
+        hint = f"the median face is {median:.2g} px² {where}: level 0 is fine enough, level 1 would make it"
+        hint += f" {median / 4:.2g}"
+    return {
+        "faces": len(areas),
+        "median": float(median),
+        "smallest_tenth": float(tenth),
+        "largest_tenth": float(most),
+        "under_fine": under_fine,
+        "level": level,
+        "hint": hint,
+    }

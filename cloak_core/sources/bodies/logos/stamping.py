@@ -6,8 +6,8 @@ its centre is seen from there, nothing of the body before it, and lies on ink; s
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,19 +25,6 @@ MAX_TEXT = 32
 INK_HEIGHT = 512
 
 
-@dataclass(frozen=True, eq=False)
-class Stamp:
-    """A picture of ink (True) [H, W], row 0 at the top, laid on the body: its centre (x, y) and size in metres."""
-
-    ink: np.ndarray
-    center: tuple[float, float]
-    height: float
-
-    @property
-    def width(self) -> float:
-        return self.height * self.ink.shape[1] / self.ink.shape[0]
-
-
 def project_text(
     bodies: Bodies, text: str, height: float | None = None, center: tuple[float, float] | None = None
 ) -> Int64[np.ndarray, " logo"]:
@@ -47,12 +34,21 @@ def project_text(
     centred on the trunk. Raises `InputError` for text without ink or of more than 32 characters, and where no face's
     centre falls on ink.
     """
+    import matplotlib
+    from PIL import Image, ImageDraw, ImageFont
+
     if len(text) > MAX_TEXT:
         raise InputError(f"text '{text[:MAX_TEXT]}...': at most {MAX_TEXT} characters can be stamped")
-    ink = draw_text(text)
+    # The bold font that comes with matplotlib.
+    font = ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans-Bold.ttf", INK_HEIGHT)
+    line = " ".join(text.split())
+    left, top, right, bottom = font.getbbox(line)
+    picture = Image.new("L", (max(int(right - left), 1) + 2, max(int(bottom - top), 1) + 2))
+    ImageDraw.Draw(picture).text((1 - left, 1 - top), line, fill=255, font=font)
+    ink = np.asarray(picture) >= 128
     if not ink.any():
         raise InputError(f"text '{text}': nothing to draw")
-    return covered_faces(bodies, front_stamp(bodies, cropped(ink), height, center), f"text '{text}'")
+    return covered_faces(bodies, ink, height, center, f"text '{text}'")
 
 
 def project_mask(
@@ -63,72 +59,52 @@ def project_mask(
     Of a picture with transparency the opaque pixels are ink, whatever their colour; of any other, the dark ones (luma
     below one half). Raises `InputError` for a file that is no picture, that has no ink, or whose ink falls on no face.
     """
-    ink = read_ink(Path(mask))
+    rgba = read_picture(Path(mask), "RGBA")
+    ink = rgba[..., 3] >= 128
+    if ink.all():
+        ink = rgba[..., :3] @ np.array([0.299, 0.587, 0.114]) < 127.5
     if not ink.any():
         raise InputError(f"{mask}: no ink in it (opaque pixels of a transparent picture, dark pixels of any other)")
-    return covered_faces(bodies, front_stamp(bodies, cropped(ink), height, center), str(mask))
+    return covered_faces(bodies, ink, height, center, str(mask))
 
 
-def draw_text(text: str) -> Bool[np.ndarray, "height width"]:
-    """Draw a line of text as ink, in the bold font that comes with matplotlib."""
-    import matplotlib
-    from PIL import Image, ImageDraw, ImageFont
+def covered_faces(
+    bodies: Bodies,
+    ink: Bool[np.ndarray, "h w"],
+    height: float | None,
+    center: tuple[float, float] | None,
+    what: str,
+) -> Int64[np.ndarray, " logo"]:
+    """Select the faces whose centre is seen from the front and lies on ink.
 
-    font = ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans-Bold.ttf", INK_HEIGHT)
-    line = " ".join(text.split())
-    left, top, right, bottom = font.getbbox(line)
-    picture = Image.new("L", (max(int(right - left), 1) + 2, max(int(bottom - top), 1) + 2))
-    ImageDraw.Draw(picture).text((1 - left, 1 - top), line, fill=255, font=font)
-    return np.asarray(picture) >= 128
-
-
-def read_ink(path: Path) -> Bool[np.ndarray, "height width"]:
-    rgba = read_picture(path, "RGBA")
-    opaque = rgba[..., 3] >= 128
-    if not opaque.all():
-        return opaque
-    return rgba[..., :3] @ np.array([0.299, 0.587, 0.114]) < 127.5
-
-
-def cropped(ink: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "h w"]:
+    ink: row 0 at the top; what lies around it is cut off. height, center: as told, else on the trunk, as large as fits.
+    """
     rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
-    return ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
-def front_stamp(
-    bodies: Bodies, ink: Bool[np.ndarray, "h w"], height: float | None, center: tuple[float, float] | None
-) -> Stamp:
-    """Place a stamp: as told, else on the trunk, as large as fits it."""
+    ink = ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    rows, columns = ink.shape
+    centres = face_centres(bodies)
     low, high = bodies.vertices[0].min(axis=0), bodies.vertices[0].max(axis=0)
     tall = float(high[1] - low[1])
-    if height is None:
-        height = tall * min(STAMP_HEIGHT, STAMP_WIDTH * ink.shape[0] / ink.shape[1])
+    height = tall * min(STAMP_HEIGHT, STAMP_WIDTH * rows / columns) if height is None else height
     if not 0 < height < np.inf:
         raise InputError(f"stamp height {height}: a positive number of metres is needed")
     if center is None:
         chest = bodies.regions.get("chest")
-        middle = (low[0] + high[0]) / 2 if chest is None else np.median(face_centres(bodies)[chest, 0])
+        middle = (low[0] + high[0]) / 2 if chest is None else np.median(centres[chest, 0])
         center = (float(middle), float(low[1] + CENTRE_HEIGHT * tall))
     if not np.isfinite(center).all():
         raise InputError(f"stamp centre {center}: two numbers are needed")
-    return Stamp(ink, (float(center[0]), float(center[1])), float(height))
-
-
-def covered_faces(bodies: Bodies, stamp: Stamp, what: str) -> Int64[np.ndarray, " logo"]:
-    """Select the faces whose centre is seen from the front and lies on ink."""
-    centres = face_centres(bodies)
-    rows, columns = stamp.ink.shape
-    u = np.floor(((centres[:, 0] - stamp.center[0]) / stamp.width + 0.5) * columns).astype(np.int64)
-    v = np.floor((0.5 - (centres[:, 1] - stamp.center[1]) / stamp.height) * rows).astype(np.int64)
+    height, (x, y) = float(height), map(float, center)
+    width = height * columns / rows
+    u = np.floor(((centres[:, 0] - x) / width + 0.5) * columns).astype(np.int64)
+    v = np.floor((0.5 - (centres[:, 1] - y) / height) * rows).astype(np.int64)
     inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
-    on_ink = inside & stamp.ink[np.where(inside, v, 0), np.where(inside, u, 0)]
+    on_ink = inside & ink[np.where(inside, v, 0), np.where(inside, u, 0)]
     ids = np.flatnonzero(on_ink & (face_normals(bodies)[:, 2] > 0)).astype(np.int64)
     ids = ids[seen_from_front(bodies, ids, centres[ids])]
     if not len(ids):
-        raise InputError(
-            f"{what}: no face's centre lies under its ink,"
-            f" {stamp.width:.3g} x {stamp.height:.3g} m at x {stamp.center[0]:.3g}, y {stamp.center[1]:.3g}"
-        )
+        where = f"{width:.3g} x {height:.3g} m at x {x:.3g}, y {y:.3g}"
+        raise InputError(f"{what}: no face's centre lies under its ink, {where}")
     return ids
 
 
@@ -178,20 +154,15 @@ def sized_stamp(
     make: `project_text` or `project_mask` but for the height, metres. InputError: no such stamp fits.
     """
     low, high = 0.0, 1.0
-    best = None
-    distance = np.inf
+    found = []
     for _ in range(14):
         height = (low + high) / 2
-        try:
+        reached = 0.0
+        with contextlib.suppress(InputError):  # too small to cover the centre of any face
             ids = make(height=height)
             reached = area_share(bodies, ids)
-        except InputError:  # too small to cover the centre of any face
-            ids = None
-            reached = 0.0
-        if ids is not None and abs(reached - target) < distance:
-            best = ids
-            distance = abs(reached - target)
+            found.append((abs(reached - target), ids))
         low, high = (height, high) if reached < target else (low, height)
-    if best is None:
+    if not found:
         raise InputError(f"scene '{bodies.name}': no stamp of {target:.1%} of its area fits on the chest")
-    return best
+    return min(found, key=lambda pair: pair[0])[1]

@@ -21,6 +21,8 @@ from cloak_core.files.unpickling import read_pickled_arrays
 from cloak_core.sources.bodies.people.smpl_poses import read_poses
 
 BATCH = 32
+ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
+"""Of a model file; the first five are finite numbers."""
 EXPRESSIONS_FROM = 300
 """SMPL-X keeps its expressions behind 300 shape components."""
 
@@ -50,10 +52,6 @@ class SmplModel:
     triangle_uv: np.ndarray | None = None
     """[F, 3]."""
 
-    @property
-    def joint_count(self) -> int:
-        return len(self.parents)
-
 
 def read_smpl(path: str | Path) -> SmplModel:
     """Read a model file, .npz or the original .pkl (through a restricted unpickler, see `files.unpickling`).
@@ -64,13 +62,10 @@ def read_smpl(path: str | Path) -> SmplModel:
     if not path.is_file():
         raise InputError(f"{path}: no such model file")
     arrays = read_npz(path) if path.suffix.lower() == ".npz" else read_pickled_arrays(path)
-    names = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
-    missing = [name for name in names if not isinstance(arrays.get(name), np.ndarray)]
+    missing = [name for name in ARRAYS if not isinstance(arrays.get(name), np.ndarray)]
     if missing:
         raise InputError(f"{path}: not an SMPL model, it lacks {', '.join(missing)}")
-    v = arrays["v_template"].shape[0]
-    j = arrays["weights"].shape[-1]
-    s = arrays["shapedirs"].shape[-1]
+    v, j, s = arrays["v_template"].shape[0], arrays["weights"].shape[-1], arrays["shapedirs"].shape[-1]
     expected = {
         "v_template": (v, 3),
         "shapedirs": (v, 3, s),
@@ -83,13 +78,9 @@ def read_smpl(path: str | Path) -> SmplModel:
     wrong = [f"{n} is {arrays[n].shape}, not {shape}" for n, shape in expected.items() if arrays[n].shape != shape]
     if wrong:
         raise InputError(f"{path}: {'; '.join(wrong)}")
-    for name in names[:5]:
+    for name in ARRAYS[:5]:
         if arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all():
             raise InputError(f"{path}: {name} is not all finite numbers")
-    return assemble(path, arrays, v, j)
-
-
-def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplModel:
     parents = arrays["kintree_table"][0].astype(np.int64)
     parents[0] = -1
     triangles = arrays["f"].astype(np.int64)
@@ -98,9 +89,7 @@ def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplM
     if triangles.min(initial=0) < 0 or triangles.max(initial=0) >= v:
         raise InputError(f"{path}: f names vertices beyond {v}")
 
-    def by_axis(name: str) -> np.ndarray:
-        return np.ascontiguousarray(np.moveaxis(arrays[name], 1, 0), np.float32)
-
+    by_axis = lambda name: np.ascontiguousarray(np.moveaxis(arrays[name], 1, 0), np.float32)
     regressor, shapes = arrays["J_regressor"].astype(np.float64), arrays["shapedirs"].astype(np.float64)
     return SmplModel(
         template=by_axis("v_template"),
@@ -111,7 +100,8 @@ def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplM
         weights=arrays["weights"].astype(np.float32),
         parents=parents,
         triangles=triangles,
-        **({"uv": arrays["vt"], "triangle_uv": arrays["ft"]} if {"vt", "ft"} <= arrays.keys() else {}),
+        uv=arrays.get("vt") if "ft" in arrays else None,
+        triangle_uv=arrays.get("ft") if "vt" in arrays else None,
     )
 
 
@@ -131,14 +121,13 @@ def pose_smpl(
 
     poses: axis-angle of every joint [P, 3 J] in radians; betas: [P, S'] with S' at most the model's S.
     """
-    count, v = len(poses), len(model.weights)
-    j = model.joint_count
+    count, j = len(poses), len(model.parents)
     if poses.shape[1] != 3 * j:
         raise InputError(f"poses of {poses.shape[1]} numbers, but {j} joints need {3 * j}")
     if betas.shape[1] > min(len(model.joint_basis), EXPRESSIONS_FROM):
         raise InputError(f"{betas.shape[1]} betas, but the model has {len(model.joint_basis)} shape components")
     turned = rotations(poses.reshape(count, j, 3).astype(np.float64))
-    out = np.empty((count, v, 3), np.float32)
+    out = np.empty((count, len(model.weights), 3), np.float32)
     for start in range(0, count, BATCH):
         part = slice(start, start + BATCH)
         out[part] = pose_batch(model, turned[part], betas[part])
@@ -179,11 +168,7 @@ def pose_batch(model: SmplModel, turned: np.ndarray, betas: np.ndarray) -> np.nd
 
 
 def import_smpl(
-    model_path: str | Path,
-    poses_path: str | Path,
-    name: str = "smpl",
-    every: int = 1,
-    limit: int | None = None,
+    model_path: str | Path, poses_path: str | Path, name: str = "smpl", every: int = 1, limit: int | None = None
 ) -> Bodies:
     """Import bodies of one SMPL model in the poses of a file (`people.smpl_poses.read_poses` has its kinds).
 
@@ -193,10 +178,11 @@ def import_smpl(
     if every < 1 or (limit is not None and limit < 1):
         raise InputError(f"every {every}, limit {limit}: both are at least 1")
     model = read_smpl(model_path)
-    sequence = read_poses(Path(poses_path), model.joint_count).take(slice(None, None, every), limit)
-    if len(sequence.poses) * len(model.weights) * 12 > MAX_BYTES:
-        raise InputError(f"{poses_path}: {len(sequence.poses)} poses need more than {MAX_BYTES >> 30} GiB; use a limit")
-    vertices = pose_smpl(model, sequence.poses, sequence.betas, sequence.translation)
+    sequence = read_poses(Path(poses_path), len(model.parents))
+    poses, betas, moves = (x[::every][:limit] for x in (sequence.poses, sequence.betas, sequence.translation))
+    if len(poses) * len(model.weights) * 12 > MAX_BYTES:
+        raise InputError(f"{poses_path}: {len(poses)} poses need more than {MAX_BYTES >> 30} GiB; use a limit")
+    vertices = pose_smpl(model, poses, betas, moves)
     if sequence.up == "z":
         vertices = vertices[..., [0, 2, 1]] * np.array([1, 1, -1], np.float32)
     stem = Path(poses_path).stem

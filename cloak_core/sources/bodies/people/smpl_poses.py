@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,16 +23,12 @@ MAX_POSE_BYTES = 64 << 20
 
 @dataclass(frozen=True, eq=False)
 class PoseSequence:
-    """P poses: axis-angle [P, 3 J] radians, betas [P, S], translation [P, 3] metres, and which axis is up."""
+    """P poses: axis-angle [P, 3 J] radians, betas [P, S], translation [P, 3] metres, and which axis is up; float64."""
 
     poses: np.ndarray
     betas: np.ndarray
     translation: np.ndarray
     up: str = "y"
-
-    def take(self, part: slice, limit: int | None) -> PoseSequence:
-        poses, betas, moves = (values[part][:limit] for values in (self.poses, self.betas, self.translation))
-        return replace(self, poses=poses, betas=betas, translation=moves)
 
 
 def read_poses(path: Path, joint_count: int) -> PoseSequence:
@@ -49,11 +45,12 @@ def read_poses(path: Path, joint_count: int) -> PoseSequence:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputError(f"{path}: poses are read from {', '.join(readers)}")
-    poses, betas, translation, up = reader(path, joint_count)
-    poses = convert_joints(path, poses, joint_count)
-    betas = np.broadcast_to(betas, (len(poses), betas.shape[-1])) if betas.shape[0] in (1, len(poses)) else betas
-    checks = {"poses": poses, "betas": betas, "translation": translation}
-    for name, values in checks.items():
+    read = reader(path, 3 * joint_count)
+    poses = convert_joints(path, read.poses, joint_count)
+    betas = read.betas
+    if len(betas) == 1:
+        betas = np.broadcast_to(betas, (len(poses), betas.shape[1]))
+    for name, values in {"poses": poses, "betas": betas, "translation": read.translation}.items():
         if len(values) != len(poses):
             raise InputError(f"{path}: {len(values)} {name} for {len(poses)} poses")
         if not np.isfinite(values).all():
@@ -61,23 +58,22 @@ def read_poses(path: Path, joint_count: int) -> PoseSequence:
             raise InputError(f"{path}: {name} of pose {row} are not finite")
     if not 0 < len(poses) <= MAX_POSES:
         raise InputError(f"{path}: {len(poses)} poses")
-    return PoseSequence(poses.astype(np.float64), betas.astype(np.float64), translation.astype(np.float64), up)
+    return PoseSequence(
+        poses.astype(np.float64), betas.astype(np.float64), read.translation.astype(np.float64), read.up
+    )
 
 
-Read = tuple[np.ndarray, np.ndarray, np.ndarray, str]
-
-
-def read_amass(path: Path, joint_count: int) -> Read:
+def read_amass(path: Path, width: int) -> PoseSequence:
     arrays = read_npz(path)
     poses = numbers(path, "poses", arrays.get("poses"))
     betas = np.atleast_2d(numbers(path, "betas", arrays.get("betas", np.zeros((1, SHAPES))), ranks=(1, 2)))
     translation = numbers(path, "trans", arrays.get("trans", np.zeros((len(poses), 3))))
     if translation.shape != (len(poses), 3):
         raise InputError(f"{path}: trans is {translation.shape}, not ({len(poses)}, 3)")
-    return poses, betas, translation, "z"
+    return PoseSequence(poses, betas, translation, up="z")
 
 
-def read_surreal(path: Path, joint_count: int) -> Read:
+def read_surreal(path: Path, width: int) -> PoseSequence:
     from scipy.io import loadmat
 
     data = read_bytes(path, MAX_POSE_BYTES)
@@ -86,10 +82,10 @@ def read_surreal(path: Path, joint_count: int) -> Read:
     except Exception as error:  # scipy raises whatever a damaged file leads it into
         raise InputError(f"{path}: not a readable .mat file ({type(error).__name__}: {error})") from None
     pose, shape = (numbers(path, name, arrays.get(name)) for name in ("pose", "shape"))
-    return pose.T, shape.T, np.zeros((pose.shape[1], 3)), "y"
+    return PoseSequence(pose.T, shape.T, np.zeros((pose.shape[1], 3)))
 
 
-def read_rows(path: Path, joint_count: int) -> Read:
+def read_rows(path: Path, width: int) -> PoseSequence:
     if path.suffix.lower() == ".npy":
         rows = np.atleast_2d(numbers(path, "rows", read_npy(path), ranks=(1, 2)))
     else:
@@ -98,11 +94,11 @@ def read_rows(path: Path, joint_count: int) -> Read:
             rows = np.loadtxt(io.BytesIO(data), delimiter=",", ndmin=2, comments="#")
         except ValueError as error:
             raise InputError(f"{path}: {first_line(error)}") from None
-    width = 3 * joint_count
     if rows.shape[1] < width:
-        raise InputError(f"{path}: rows of {rows.shape[1]} numbers, but {joint_count} joints need {width} (and betas)")
+        joints = width // 3
+        raise InputError(f"{path}: rows of {rows.shape[1]} numbers, but {joints} joints need {width} (and betas)")
     betas = rows[:, width:] if rows.shape[1] > width else np.zeros((1, SHAPES))
-    return rows[:, :width], betas, np.zeros((len(rows), 3)), "y"
+    return PoseSequence(rows[:, :width], betas, np.zeros((len(rows), 3)))
 
 
 def numbers(path: Path, name: str, values: object, ranks: tuple[int, ...] = (2,)) -> np.ndarray:

@@ -29,13 +29,13 @@ def test_coarse_faces_call_for_a_level_and_fine_ones_for_none() -> None:
     chest = np.flatnonzero(body.regions["chest"])
     close = Camera(distance=1.4)
     near, far = resolution(body, close, chest), resolution(body, Camera(distance=40.0), chest)
-    assert near.level == 1 and "level 1 makes it" in near.hint
-    assert far.under_fine > 0.5 and far.level == 0 and "gains nothing" in far.hint
+    assert near["level"] == 1 and "level 1 makes it" in near["hint"]
+    assert far["under_fine"] > 0.5 and far["level"] == 0 and "gains nothing" in far["hint"]
     finer, parent = subdivide(body.select_poses([0]))
     again = resolution(finer, close, np.flatnonzero(np.isin(parent, chest)))
-    assert again.median == pytest.approx(near.median / 4, rel=0.1)
-    assert again.level == 0 and "fine enough" in again.hint
-    assert resolution(body, face_ids=chest).level == 0
+    assert again["median"] == pytest.approx(near["median"] / 4, rel=0.1)
+    assert again["level"] == 0 and "fine enough" in again["hint"]
+    assert resolution(body, face_ids=chest)["level"] == 0
 
 
 def test_a_camera_inside_the_body_is_refused() -> None:
