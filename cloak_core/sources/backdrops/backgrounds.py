@@ -1,7 +1,7 @@
 """Backgrounds: a folder of images, or procedural scenes as the embedded default.
 
-Images are kept in memory as uint8 at the size they were asked for, up to a bound, and those of folders decoded on disk
-(`DecodedImages`); what is in neither is made anew.
+Images are kept in memory as uint8 at the size they were asked for, up to a bound, and those of folders decoded on disk;
+what is in neither is made anew.
 """
 
 from __future__ import annotations
@@ -32,8 +32,16 @@ from cloak_core.sources.backdrops.procedural import draw_scene
 from cloak_core.sources.bodies.selection import select, split_selection
 
 LIMIT_BYTES = 4 << 30
-"""Of all files together."""
+"""Of all decoded images together."""
 IDENTITIES_BYTES = 64 << 20
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+MEMORY_BYTES = 1 << 30
+"""Bound on the images that one set of backgrounds keeps in memory."""
+PROCEDURAL_COUNT = 256
+_SPLITS = ("train", "test")
+_log = logging.getLogger("cloak")
+
+Draw = Callable[[int, int, int], UInt8[np.ndarray, "H W 3"]]
 
 
 class Picture(NamedTuple):
@@ -47,54 +55,6 @@ class Picture(NamedTuple):
     """SHA-256 (hex) of its file."""
 
 
-class DecodedImages:
-    """Decoded and resized images on disk, so that no run pays for the same photograph twice.
-
-    One file of raw bytes for each picture and size, named after the SHA-256 of the picture's own file and what decodes
-    it, and one of what the picture is (files/caching.py). folder None keeps none. Never raises: what cannot be kept is
-    made anew.
-    """
-
-    def __init__(self, folder: Path | None, limit: int = LIMIT_BYTES) -> None:
-        self._files = DiskCache(folder, ".rgb", limit, "decoded images")
-        self._pictures = DiskCache(folder, ".picture", IDENTITIES_BYTES, "identities of images")
-        decoder = [
-            code_hash("sources/backdrops/backgrounds.py", "files/likeness.py"),
-            package_versions("pillow"),
-        ]
-        self._decoder = sha256_record(decoder)[:8]
-
-    def get(self, key: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:
-        """Map the image from its file; None where there is none, or a damaged one."""
-        data = self._files.get(f"{key}-{height}x{width}-{self._decoder}")
-        return None if data is None or len(data) != height * width * 3 else data.reshape(height, width, 3)
-
-    def put(self, key: str, image: UInt8[np.ndarray, "H W 3"]) -> None:
-        """Keep an image. A full or read-only disk ends the keeping, with a warning."""
-        height, width = image.shape[:2]
-        self._files.put(f"{key}-{height}x{width}-{self._decoder}", np.ascontiguousarray(image).tobytes())
-
-    def picture(self, key: str) -> Picture | None:
-        """Tell what the picture with this key is; None where that is not known yet."""
-        data = self._pictures.get(f"{key}-{self._decoder}")
-        pixels, comma, look = ("" if data is None else data.tobytes().decode("ascii", "replace")).partition(",")
-        return Picture(pixels, look, key) if comma else None
-
-    def put_picture(self, picture: Picture) -> None:
-        """Keep what a picture is."""
-        self._pictures.put(f"{picture.file}-{self._decoder}", f"{picture.pixels},{picture.look}".encode())
-
-
-SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
-MEMORY_BYTES = 1 << 30
-"""Bound on the images that one set of backgrounds keeps in memory."""
-PROCEDURAL_COUNT = 256
-_SPLITS = ("train", "test")
-_log = logging.getLogger("cloak")
-
-Draw = Callable[[int, int, int], UInt8[np.ndarray, "H W 3"]]
-
-
 class Backgrounds:
     """Images without people, by index; every image is resized and centre-cropped to the size asked for.
 
@@ -102,17 +62,13 @@ class Backgrounds:
     """
 
     def __init__(
-        self,
-        names: Sequence[str],
-        draw: Draw,
-        memory_bytes: int = MEMORY_BYTES,
-        pictures: Sequence[Picture] = (),
+        self, names: Sequence[str], draw: Draw, memory_bytes: int = MEMORY_BYTES, pictures: Sequence[Picture] = ()
     ) -> None:
         self.names = tuple(names)
         """Of the images, in order."""
-        self._draw = draw
         self.pictures = tuple(pictures) or tuple(map(Picture, self.names))
         """What the images are."""
+        self._draw = draw
         self._indices = tuple(range(len(self.names)))
         self._cache = MemoryCache(memory_bytes)
 
@@ -126,10 +82,12 @@ class Backgrounds:
         """
         key = (self._indices[index], *size)
         image = self._cache.get(key)
-        if image is None:
-            image = torch.from_numpy(np.ascontiguousarray(self._draw(*key))).permute(2, 0, 1)
-            self._cache.put(key, image)
-        return image
+        return self.keep(*key, self._draw(*key)) if image is None else image
+
+    def keep(self, index: int, height: int, width: int, image: UInt8[np.ndarray, "H W 3"]) -> UInt8[Tensor, "3 H W"]:
+        """Keep an image of the source in memory, and return it."""
+        tensor = torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)
+        return self._cache.put((index, height, width), tensor)
 
     def batch(self, indices: Sequence[int] | Tensor, height: int = 416, width: int = 416) -> Float[Tensor, "B 3 H W"]:
         """Stack the images at `indices` as float32 in [0, 1], channels-last in memory."""
@@ -175,9 +133,6 @@ def load_backgrounds(
     return backgrounds if selection is None else backgrounds.subset(select(selection, backgrounds.names, str(spec)))
 
 
-# --- procedural ------------------------------------------------------------------------------------------------------
-
-
 def _open_procedural(spec: str, memory_bytes: int) -> Backgrounds:
     fields = split_spec(spec)[1:]
     split = fields.pop(0) if fields and fields[0] in _SPLITS else "train"
@@ -194,9 +149,6 @@ def _open_procedural(spec: str, memory_bytes: int) -> Backgrounds:
     return Backgrounds([f"procedural:{split}:{seed}/{i}" for i in range(count)], draw, memory_bytes)
 
 
-# --- folders ---------------------------------------------------------------------------------------------------------
-
-
 def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Backgrounds:
     if not folder.exists():
         raise InputError(f"{folder}: no such folder of backgrounds")
@@ -205,69 +157,82 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
     files = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     if not files:
         raise InputError(f"{folder}: no jpg, png or webp image in this folder (sub-folders are not searched)")
-    decoded = DecodedImages(cache_folder("images"))
+    reader = _Reader()
+
+    def read(path: Path) -> tuple[UInt8[np.ndarray, "H W 3"], Picture] | InputError:
+        try:
+            return reader.read(path, *size)
+        except InputError as error:
+            return error
+
     room = max(1, memory_bytes // (3 * size[0] * size[1]))
-    good: list[Path] = []
+    good: list[tuple[Path, Picture]] = []
     bad: list[InputError] = []
-    pictures: list[Picture] = []
     ready: list[np.ndarray] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-        opened = pool.map(lambda path: _try_read(path, *size, decoded), files)
-        for file, found in zip(files, opened, strict=True):
+        for file, found in zip(files, pool.map(read, files), strict=True):
             if isinstance(found, InputError):
                 _log.warning("%s; skipped", found)
                 bad.append(found)
                 continue
-            good.append(file)
-            pictures.append(found[1])
+            good.append((file, found[1]))
             if len(ready) < room:
                 ready.append(found[0])
     if not good:
         one = str(bad[0]).removeprefix(f"{folder}{os.sep}")
         raise InputError(f"{folder}: none of its {len(files)} images can be read ({one})")
-    backgrounds = Backgrounds(
-        [path.name for path in good],
-        lambda i, h, w: _read(good[i], h, w, decoded, pictures[i])[0],
-        memory_bytes,
-        pictures,
-    )
+    draw = lambda i, h, w: reader.read(good[i][0], h, w, good[i][1])[0]
+    names, pictures = [path.name for path, _ in good], [picture for _, picture in good]
+    backgrounds = Backgrounds(names, draw, memory_bytes, pictures)
     for i, image in enumerate(ready):
-        backgrounds._cache.put((i, *size), torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1))
+        backgrounds.keep(i, *size, image)
     return backgrounds
 
 
-def _try_read(
-    path: Path, height: int, width: int, decoded: DecodedImages
-) -> tuple[UInt8[np.ndarray, "H W 3"], Picture] | InputError:
-    try:
-        return _read(path, height, width, decoded)
-    except InputError as error:
-        return error
+class _Reader:
+    """Reads pictures, decoded and resized once on disk, so that no run pays for the same photograph twice.
 
-
-def _read(
-    path: Path, height: int, width: int, decoded: DecodedImages, picture: Picture | None = None
-) -> tuple[UInt8[np.ndarray, "H W 3"], Picture]:
-    """Read a file upright, resized to cover height x width and centre-cropped; and what picture it is.
-
-    From among the decoded ones where it is there; a file whose picture is known already is not read for that.
+    One file of raw bytes for each picture and size, named after the SHA-256 of the picture's own file and what decodes
+    it, and one of what the picture is (files/caching.py).
     """
-    image = None if picture is None else decoded.get(picture.file, height, width)
-    if image is not None and picture is not None:
+
+    def __init__(self) -> None:
+        folder = cache_folder("images")
+        self._images = DiskCache(folder, ".rgb", LIMIT_BYTES, "decoded images")
+        self._pictures = DiskCache(folder, ".picture", IDENTITIES_BYTES, "identities of images")
+        code = code_hash("sources/backdrops/backgrounds.py", "files/likeness.py")
+        self._decoder = sha256_record([code, package_versions("pillow")])[:8]
+
+    def read(
+        self, path: Path, height: int, width: int, picture: Picture | None = None
+    ) -> tuple[UInt8[np.ndarray, "H W 3"], Picture]:
+        """Read a file upright, resized to cover height x width and centre-cropped; and what picture it is.
+
+        picture: where it is known, the file itself need not be read.
+        """
+        if picture is not None and (image := self._decoded(picture.file, height, width)) is not None:
+            return image, picture
+        data = read_bytes(path, MAX_FILE_BYTES)
+        key = hashlib.sha256(data).hexdigest()
+        image, picture = self._decoded(key, height, width), self._identified(key)
+        if image is None or picture is None:
+            whole = _decode(path, data)
+            if picture is None:
+                pixels = np.asarray(whole)
+                picture = Picture(sha256_arrays(pixels), picture_look(pixels), key)
+                self._pictures.put(f"{key}-{self._decoder}", f"{picture.pixels},{picture.look}".encode())
+            image = np.array(ImageOps.fit(whole, (width, height), Image.Resampling.BICUBIC))
+            self._images.put(f"{key}-{height}x{width}-{self._decoder}", image.tobytes())
         return image, picture
-    data = read_bytes(path, MAX_FILE_BYTES)
-    key = hashlib.sha256(data).hexdigest()
-    image = decoded.get(key, height, width)
-    picture = decoded.picture(key)
-    if image is None or picture is None:
-        whole = _decode(path, data)
-        if picture is None:
-            pixels = np.asarray(whole)
-            picture = Picture(sha256_arrays(pixels), picture_look(pixels), key)
-            decoded.put_picture(picture)
-        image = np.array(ImageOps.fit(whole, (width, height), Image.Resampling.BICUBIC))
-        decoded.put(key, image)
-    return image, picture
+
+    def _decoded(self, key: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:
+        data = self._images.get(f"{key}-{height}x{width}-{self._decoder}")
+        return None if data is None or len(data) != height * width * 3 else data.reshape(height, width, 3)
+
+    def _identified(self, key: str) -> Picture | None:
+        data = self._pictures.get(f"{key}-{self._decoder}")
+        pixels, comma, look = ("" if data is None else data.tobytes().decode("ascii", "replace")).partition(",")
+        return Picture(pixels, look, key) if comma else None
 
 
 def _decode(path: Path, data: bytes) -> Image.Image:
@@ -275,11 +240,7 @@ def _decode(path: Path, data: bytes) -> Image.Image:
     with open_picture(path, data) as image:
         ImageOps.exif_transpose(image, in_place=True)
         image.load()
-        return _rgb(image)
-
-
-def _rgb(image: Image.Image) -> Image.Image:
-    if image.has_transparency_data:
-        rgba = image.convert("RGBA")
-        return Image.alpha_composite(Image.new("RGBA", rgba.size, "white"), rgba).convert("RGB")
-    return image if image.mode == "RGB" else image.convert("RGB")
+        if image.has_transparency_data:
+            rgba = image.convert("RGBA")
+            return Image.alpha_composite(Image.new("RGBA", rgba.size, "white"), rgba).convert("RGB")
+        return image if image.mode == "RGB" else image.convert("RGB")
