@@ -16,7 +16,6 @@ from .poses.poses import PoseChoice
 from .result.evaluations import CloakJudging
 from .session import session
 from .trainer.command_lines import options
-from .trainer.preferences import runs_folder
 from .training.detectors import CloakDetector, existing, trained_against
 from .ui import props
 from .ui.window import Hooks
@@ -37,10 +36,6 @@ def _set_logo_index(self: "CloakObject", index: int) -> None:
 def _remember_run(self: "CloakObject", context: bpy.types.Context) -> None:
     session.given_runs[self.id_data.session_uid] = self.run
     self.run_place = absolute(self.run)
-
-
-def _scene_changed(self: "CloakObject", context: bpy.types.Context) -> None:
-    session.note_change(geometry=True)
 
 
 def _look_chosen(self: "CloakSettings", context: bpy.types.Context) -> None:
@@ -76,7 +71,9 @@ class CloakObject(bpy.types.PropertyGroup):
     )
     worn: props.text("Worn Run", "Folder of the run whose colours are on the model")
     left_out: props.switch(
-        "Leave Out", "The camera does not see this piece, in training, judging and films", update=_scene_changed
+        "Leave Out",
+        "The camera does not see this piece, in training, judging and films",
+        update=lambda self, context: session.note_change(geometry=True),
     )
     verdict: props.text("Render Check", "What the detector said about the Cycles renders")
     made_from: props.text("Made From", "Of a sample body: which of Cloak's people it holds, and the hash of its faces")
@@ -199,7 +196,9 @@ def train_options(settings: CloakSettings) -> list[str]:
 def output_folder(settings: CloakSettings) -> Path:
     """Where runs go: the folder the user chose, `cloak runs` beside the file, or beside Blender's own data."""
     if not settings.output:
-        return blend_folder() / "cloak runs" if blend_folder() else runs_folder()
+        # Beside Blender's own data what was trained outlives the add-on.
+        place = blend_folder() or Path(bpy.utils.user_resource("DATAFILES", create=True))
+        return place / "cloak runs"
     if settings.output.startswith("//") and not bpy.data.filepath:
         raise InputError("Output lies beside the .blend file: save that first, or choose another folder")
     return Path(absolute(settings.output))

@@ -229,12 +229,6 @@ def is_dressed(obj: bpy.types.Object) -> bool:
     return slot is not None and bool((_read_slots(obj.data) == slot).any())
 
 
-def lost_its_cloak(obj: bpy.types.Object) -> bool:
-    """Whether an object that was dressed misses material or attributes: undo takes them, Show Original does not."""
-    mesh = obj.data
-    return _cloak_slot(mesh) is None or not (layer_name(mesh, OWN_MATERIAL) and layer_name(mesh, COLORS))
-
-
 def own_material_slots(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None) -> np.ndarray:
     """[F] int32: each face's material slot, without the cloak; read from a copy of the object's mesh, where given."""
     mesh = mesh or obj.data
@@ -287,42 +281,27 @@ def own_face_colors(obj: bpy.types.Object) -> np.ndarray:
 def _material_colors(
     obj: bpy.types.Object, mesh: bpy.types.Mesh, material: bpy.types.Material, faces: np.ndarray
 ) -> np.ndarray:
-    """sRGB [n, 3] or [3] for the faces of a mask."""
-    source = _base_color_input(material)
-    if source is None:
-        return linear_to_srgb(material.diffuse_color[:3])
-    if not source.is_linked:
+    """sRGB [n, 3] or [3] for the faces of a mask: of its shader's colour, else of the material's in viewports."""
+    uses = bpy.app.version >= (5, 0, 0) or material.use_nodes  # from then on all materials do
+    nodes = material.node_tree.nodes if material.node_tree and uses else ()
+    shader = next((node for node in nodes if node.type in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "EMISSION")), None)
+    source = shader and (shader.inputs.get("Base Color") or shader.inputs.get("Color"))
+    if source and not source.is_linked:
         return linear_to_srgb(source.default_value[:3])
-    node = source.links[0].from_node
-    if node.bl_idname == "ShaderNodeTexImage" and node.image is not None and mesh.uv_layers.active:
-        sampled = _image_colors(mesh, node.image)
-        if sampled is not None:
-            return sampled[faces]
+    node = source.links[0].from_node if source else None
+    image = node.image if node and node.bl_idname == "ShaderNodeTexImage" else None
+    if image is not None and image.size[0] and mesh.uv_layers.active:
+        # The texel under the middle of each face's texture coordinates.
+        places = arrays.mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))[faces]
+        texels = pixels_at(image_pixels(image), np.nan_to_num(places))
+        texels = texels[:, :3] if image.channels >= 3 else np.repeat(texels[:, :1], 3, -1)
+        return linear_to_srgb(texels) if image.is_float else texels
     name = getattr(node, "layer_name", "") or getattr(node, "attribute_name", "")
     if name and mesh.color_attributes.get(name):
         return read_face_colors(obj, name)[faces]
-    if node.bl_idname == "ShaderNodeRGB":
+    if node and node.bl_idname == "ShaderNodeRGB":
         return linear_to_srgb(node.outputs[0].default_value[:3])
     return linear_to_srgb(material.diffuse_color[:3])
-
-
-def _base_color_input(material: bpy.types.Material) -> bpy.types.NodeSocket | None:
-    uses = bpy.app.version >= (5, 0, 0) or material.use_nodes  # from then on all materials do
-    nodes = material.node_tree.nodes if material.node_tree and uses else ()
-    for node in nodes:
-        if node.type in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "EMISSION"):
-            return node.inputs.get("Base Color") or node.inputs.get("Color")
-    return None
-
-
-def _image_colors(mesh: bpy.types.Mesh, image: bpy.types.Image) -> np.ndarray | None:
-    """[F, 3] sRGB: the texel under the middle of each face's texture coordinates."""
-    if not image.size[0]:
-        return None
-    places = arrays.mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))
-    texels = pixels_at(image_pixels(image), np.nan_to_num(places))
-    texels = texels[:, :3] if image.channels >= 3 else np.repeat(texels[:, :1], 3, -1)
-    return linear_to_srgb(texels) if image.is_float else texels
 
 
 def heat_colors(heat: np.ndarray) -> np.ndarray:
@@ -352,13 +331,6 @@ def light_reason(space: bpy.types.Space | None) -> str:
     if shading is None or shading.type != "SOLID" or shading.light == "FLAT":
         return ""
     return "Studio light in Solid view changes the trained colours"
-
-
-def solid_reason(obj: bpy.types.Object, space: bpy.types.Space | None) -> str:
-    """Why a viewport shows a cloth coarser than it is printed; "" where it does not."""
-    if space is None or space.type != "VIEW_3D" or space.shading.type != "SOLID" or worn_cloth(obj.data)[0] is None:
-        return ""
-    return "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"
 
 
 def use_standard_view(scene: bpy.types.Scene) -> None:

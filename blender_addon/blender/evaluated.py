@@ -20,7 +20,7 @@ from mathutils.geometry import closest_point_on_tri, intersect_ray_tri
 from ..files.errors import InputError
 from . import mesh_arrays as arrays
 from .faces import logo_names
-from .marks import CARRIED, copy_marks, layer_name, make_layer, remove_layer
+from .marks import CARRIED, PREFIX, layer_name, make_layer, remove_layer
 from .mesh_arrays import current_mesh, evaluated_mesh, read
 
 DEFORMS_ONLY = {
@@ -124,7 +124,8 @@ def applied_copy(context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types
     finally:
         for modifier in others:
             modifier.show_viewport = True
-    copy_marks(obj.data, mesh)
+    for key in [key for key in obj.data.keys() if key.startswith(PREFIX)]:  # noqa: SIM118
+        mesh[key] = obj.data[key]  # our marks: Blender leaves custom properties behind
     copy = obj.copy()
     copy.data, copy.name = mesh, f"{obj.name} applied"
     mesh.name = copy.name

@@ -55,18 +55,19 @@ def require_logo(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask of a logo that exists on `obj` and has faces; several names may be joined by "+"."""
     for part in _parts(obj, name):
         if part not in logo_names(obj.data):
-            raise InputError(_missing(obj, part))
+            if others := [o.name for o in bpy.data.objects if o.type == "MESH" and part in logo_names(o.data)]:
+                raise InputError(
+                    f"Logo '{part}' is on '{others[0]}', not on '{obj.name}': make '{others[0]}' the active object"
+                )
+            have = ", ".join(logo_names(obj.data)) or "none"
+            raise InputError(
+                f"'{obj.name}' has no logo '{part}' (it has: {have}): select faces in Edit Mode and press New from "
+                "Selection"
+            )
     mask = logo_mask(obj, name)
     if not mask.any():
         raise InputError(f"Logo '{name}' is empty: select faces in Edit Mode and press Assign")
     return mask
-
-
-def _missing(obj: bpy.types.Object, name: str) -> str:
-    if others := [o.name for o in bpy.data.objects if o.type == "MESH" and o != obj and name in logo_names(o.data)]:
-        return f"Logo '{name}' is on '{others[0]}', not on '{obj.name}': make '{others[0]}' the active object"
-    have = ", ".join(logo_names(obj.data)) or "none"
-    return f"'{obj.name}' has no logo '{name}' (it has: {have}): select faces in Edit Mode and press New from Selection"
 
 
 HAS_LAYERS = hasattr(bmesh.types.BMLayerAccessFace, "bool")

@@ -105,46 +105,29 @@ def remove_layer(mesh: bpy.types.Mesh, role: str) -> None:
     mesh.pop(PREFIX + role, None)
 
 
-def copy_marks(source: bpy.types.Mesh, target: bpy.types.Mesh) -> None:
-    """Mark the layers of a mesh that Blender made from another one, which leaves custom properties behind."""
-    for key in [key for key in source.keys() if key.startswith(PREFIX)]:  # noqa: SIM118
-        target[key] = source[key]
-
-
 # --- scenes of version 1.0, which had names and no marks --------------------------------------------------------------
 
 
 @persistent
 def mark_former(*_: object) -> None:
-    """After loading: mark what version 1.0 made, where more than its name says that it did."""
-    for obj in bpy.data.objects:
-        if obj.type == "MESH" and obj.data.library is None and obj.library is None:
-            _mark_layers(obj)
-
-
-def _mark_layers(obj: bpy.types.Object) -> None:
-    mesh = obj.data
-    if any(key.startswith(PREFIX) for key in mesh.keys()):  # noqa: SIM118
-        return
-    for role in _made_by_us(obj):
-        attribute = mesh.attributes.get(FORMER[role])
-        if attribute is not None and (attribute.domain, attribute.data_type) == KINDS[role.partition(".")[0]]:
-            mark(mesh, role, attribute.name)
-    if layer_name(mesh, COLORS):
-        for material in filter(None, mesh.materials):
-            look = FORMER_LOOKS.get(material.name.partition(".")[0])
-            if look and material.library is None:
-                material[MATERIAL] = look
-
-
-def _made_by_us(obj: bpy.types.Object) -> list[str]:
-    """The roles whose former names are ours on this object.
+    """After loading: mark what version 1.0 made, where more than its name says that it did.
 
     Technical names of integer and float layers, and the record of a sample body, vouch for names that users may type.
     """
-    names = obj.data.attributes.keys()
-    sample = obj.cloak.made_from or (obj.parent and obj.parent.cloak.made_from)
-    roles = [role for role in (OWN_MATERIAL, HEAT, ORIGINAL_FACE) if FORMER[role] in names]
-    roles += [COLORS] if OWN_MATERIAL in roles else []
-    roles += [HEATMAP] if HEAT in roles else []
-    return [*roles, OUTFIT, f"{OUTFIT}.2"] if sample else roles
+    for obj in bpy.data.objects:
+        if obj.type != "MESH" or obj.data.library is not None or obj.library is not None or our_names(obj.data):
+            continue
+        mesh, names = obj.data, obj.data.attributes.keys()
+        roles = [role for role in (OWN_MATERIAL, HEAT, ORIGINAL_FACE) if FORMER[role] in names]
+        roles += [COLORS] if OWN_MATERIAL in roles else []
+        roles += [HEATMAP] if HEAT in roles else []
+        if obj.cloak.made_from or (obj.parent and obj.parent.cloak.made_from):
+            roles += [OUTFIT, f"{OUTFIT}.2"]
+        for role in roles:
+            attribute = mesh.attributes.get(FORMER[role])
+            if attribute is not None and (attribute.domain, attribute.data_type) == KINDS[role.partition(".")[0]]:
+                mark(mesh, role, attribute.name)
+        for material in filter(None, mesh.materials if layer_name(mesh, COLORS) else ()):
+            look = FORMER_LOOKS.get(material.name.partition(".")[0])
+            if look and material.library is None:
+                material[MATERIAL] = look

@@ -120,14 +120,6 @@ def cloth_of(material: bpy.types.Material) -> bpy.types.Image | None:
     return next((node.image for node in nodes if node.bl_idname == "ShaderNodeTexImage"), None)
 
 
-def replace_picture(image: bpy.types.Image, path: Path) -> None:
-    """Show a picture file wherever an image is shown, and remove the image."""
-    name, new = image.name, load_cloth(path)
-    image.user_remap(new)
-    bpy.data.images.remove(image)
-    new.name = name
-
-
 def take_off(mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
     """Remove a cloth that the mesh wore: the UV map, and material and image if nobody else shows them."""
     image = cloth_of(material)

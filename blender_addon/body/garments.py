@@ -5,7 +5,7 @@ An export numbers the faces of all objects through, the body's first. Its record
 trained colours find their garments again.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -55,18 +55,13 @@ def worn_by(obj: bpy.types.Object) -> list[bpy.types.Object]:
     return [o for o in wearable(obj) if not o.cloak.left_out]
 
 
-def wearable(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """List the worn objects, with the ones that the user left out."""
-    return [o for o in _seen_on(obj) if o.type == "MESH"]
+def wearable(obj: bpy.types.Object, meshes: bool = True) -> list[bpy.types.Object]:
+    """List the worn objects, with the ones that the user left out; or what lies there and is no mesh.
 
-
-def unseen_on(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """What lies on the body and the camera does not see, because it is no mesh: hair, text, instances."""
-    return [o for o in _seen_on(obj) if o.type != "MESH"]
-
-
-def _seen_on(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    return sorted((o for o in session.kept(on_body, obj) if o.visible_get()), key=lambda o: o.name)
+    The camera does not see the latter: hair, text, instances.
+    """
+    seen = [o for o in session.kept(on_body, obj) if o.visible_get() and (o.type == "MESH") == meshes]
+    return sorted(seen, key=lambda o: o.name)
 
 
 def on_body(obj: bpy.types.Object, among: set | None) -> set:
@@ -75,22 +70,17 @@ def on_body(obj: bpy.types.Object, among: set | None) -> set:
     armature, own = armature_of(obj), below(obj, among)
     # A copy of the body lies where the body does, and is not worn by it.
     copy_of = lambda o: o.type == "MESH" and len(o.data.polygons) == len(obj.data.polygons)
-    worn = {o for o in objects_near(objects, box_of(obj)) if not copy_of(o) and not _rigged_apart(o, armature)}
-    if armature is not None:
+    worn = {o for o in objects_near(objects, box_of(obj)) if not copy_of(o)}
+    if armature is not None:  # what has another one belongs to another body, wherever that stands
+        worn = {o for o in worn if armature_of(o) in (None, armature)}
         worn.update(o for o in objects if armature_of(o) == armature)
-    worn = own | {o for o in worn if not any(map(copy_of, _parents(o)))} - {obj}
+    of_copies = {o for o in worn if any(map(copy_of, _parents(o)))}
     shows = lambda o: len(o.data.polygons) if o.type == "MESH" else o.instance_type == "COLLECTION"
-    return {o for o in worn if o.type in SURFACES or shows(o)}
+    return {o for o in own | worn - of_copies - {obj} if o.type in SURFACES or shows(o)}
 
 
-def _rigged_apart(obj: bpy.types.Object, armature: bpy.types.Object | None) -> bool:
-    """Whether an object belongs to another armature than a body's: to another body, wherever that stands."""
-    return armature is not None and armature_of(obj) not in (None, armature)
-
-
-def _parents(obj: bpy.types.Object) -> Iterator[bpy.types.Object]:
-    while (obj := obj.parent) is not None:
-        yield obj
+def _parents(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    return [obj.parent, *_parents(obj.parent)] if obj.parent is not None else []
 
 
 def pieces_of(obj: bpy.types.Object, garments: list[Garment]) -> list[bpy.types.Object]:

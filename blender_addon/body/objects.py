@@ -161,7 +161,7 @@ def blender_axes(vertices: np.ndarray) -> np.ndarray:
 
 
 def scene_axes(vertices: np.ndarray) -> np.ndarray:
-    """Blender's axes (z up, facing -y) to scene axes (y up, facing +z): [..., 3] -> [..., 3]."""
+    """The inverse of `blender_axes`."""
     return np.stack((vertices[..., 0], vertices[..., 2], -vertices[..., 1]), -1)
 
 

@@ -7,7 +7,7 @@ from ..blender.faces import logo_names
 from ..trainer.preferences import trainer_reason
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, wrapped
-from .garments import unseen_on, wearable
+from .garments import wearable
 from .objects import active_body, body_reason
 
 UNSEEN = (
@@ -49,5 +49,5 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
             row.label(text=worn.name, icon="MATCLOTH")
             icon = "HIDE_ON" if worn.cloak.left_out else "HIDE_OFF"
             row.prop(worn.cloak, "left_out", text="", icon=icon, toggle=True)
-        if unseen := ", ".join(f"'{o.name}'" for o in unseen_on(obj)[:MOST_WORN]):
+        if unseen := ", ".join(f"'{o.name}'" for o in wearable(obj, meshes=False)[:MOST_WORN]):
             wrapped(self.layout, context, UNSEEN.format(unseen), icon="ERROR")

@@ -27,11 +27,6 @@ class LogoStats:
     covered: tuple[tuple[str, float], ...] = ()
     """Pieces that do not wear the logo and cover some of it from the front: their names, and the share of it."""
 
-    @property
-    def projected_share(self) -> float:
-        """Of the outline, 0 to 1."""
-        return self.projected_area / max(self.whole_projected_area, 1e-12)
-
 
 def logo_stats(parts: list[Part]) -> LogoStats:
     """Measure a logo on a body and on its clothing."""
@@ -39,8 +34,12 @@ def logo_stats(parts: list[Part]) -> LogoStats:
     shapes, hidden, own, whole = [], 0, 0.0, 1e-12
     for obj, mask in parts:
         with current_mesh(obj) as mesh:
-            hides = hidden_faces(mesh)
-            points, corners, face = _in_world(obj, mesh)
+            hides, seen_mesh = hidden_faces(mesh), mesh
+            if obj.mode != "EDIT":  # as viewports show it where modifiers keep the faces, else as it is without them
+                evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+                seen_mesh = evaluated if len(evaluated.polygons) == len(mesh.polygons) else mesh
+            points = to_world(vertex_points(seen_mesh), np.array(obj.matrix_world))
+            corners, face = mesh_triangles(seen_mesh)
         hidden += int((mask & hides).sum())
         area = triangle_areas(points, corners)
         own, whole = own + float(area[mask[face]].sum()), whole + float(area.sum())
@@ -80,14 +79,3 @@ def _from_the_front(parts: list[Part], shapes: list[tuple[np.ndarray, ...]], squ
 def _of_nearest(values: np.ndarray, depths: np.ndarray) -> np.ndarray:
     """[H, W] of values [n, H, W]: in each pixel that of the nearest object."""
     return np.take_along_axis(values, depths.argmax(0)[None], 0)[0]
-
-
-def _in_world(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices [V, 3] in the world; triangles [T, 3]; the mesh's own face of each [T].
-
-    As viewports show it where modifiers keep the faces, else the mesh as it is without them.
-    """
-    if obj.mode != "EDIT":
-        shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-        mesh = shown if len(shown.polygons) == len(mesh.polygons) else mesh
-    return to_world(vertex_points(mesh), np.array(obj.matrix_world)), *mesh_triangles(mesh)

@@ -175,9 +175,9 @@ class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", trains=True):
 
 def heatmap_words(options: list[str], folder: Path) -> list[object]:
     """`cloak logo heatmap` of the first detector of a training, from `scene` to `heat.npy` in a folder."""
-    detector = next(word for word in options if word.startswith("--detector="))
-    others = [word for word in options if word.startswith(("--backgrounds=", "--angles=", "--device="))]
-    return ["logo", "heatmap", "--scene", folder / "scene", detector, *others, "--out", folder / "heat.npy"]
+    known = [word for word in options if word.startswith(("--detector=", "--backgrounds=", "--angles=", "--device="))]
+    words = {word.partition("=")[0]: word for word in reversed(known)}  # of several detectors the first
+    return ["logo", "heatmap", "--scene", folder / "scene", *words.values(), "--out", folder / "heat.npy"]
 
 
 def show_heat(obj: bpy.types.Object, heat: np.ndarray) -> None:

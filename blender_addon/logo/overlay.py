@@ -5,7 +5,6 @@ stroke or a stamp will take, while the user still drags.
 Drawing never waits for them: what takes longer than a blink is computed when the user has rested for a moment.
 """
 
-import contextlib
 import time
 from collections.abc import Callable
 
@@ -116,20 +115,15 @@ def _catch_up() -> float | None:
     return None
 
 
-def _parts(obj: bpy.types.Object, mask: np.ndarray) -> list[tuple[bpy.types.Object, np.ndarray]]:
+def worn_parts(obj: bpy.types.Object, mask: np.ndarray) -> list[tuple[bpy.types.Object, np.ndarray]]:
     """The body and what the camera sees on it, each with its faces of the active logo."""
     return [(obj, mask), *((o, logo_mask(o, _active(obj))) for o in worn_by(obj))]
-
-
-def worn_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
-    """Measure the logo on the body and on its clothing."""
-    return logo_stats(_parts(obj, mask))
 
 
 def worn_tint(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """`tint_triangles` of the body and of its clothing, in the body's space."""
     back, logo = np.array(obj.matrix_world.inverted_safe()), _active(obj)
-    wearing = [(o, on_it) for o, on_it in _parts(obj, mask) if on_it.any()]
+    wearing = [(o, on_it) for o, on_it in worn_parts(obj, mask) if on_it.any()]
     found = [arrays.to_world(tint_triangles(o, on_it, logo), back @ np.array(o.matrix_world)) for o, on_it in wearing]
     return np.concatenate([np.zeros((0, 3)), *found])
 
@@ -174,7 +168,8 @@ def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> tupl
     return mesh, arrays.read(attribute.data, "value", dtype=bool)
 
 
-_stats, _tint, _outline = _Kept(worn_stats), _Kept(worn_tint), _Kept(outline_edges)
+_stats = _Kept(lambda obj, mask: logo_stats(worn_parts(obj, mask)))
+_tint, _outline = _Kept(worn_tint), _Kept(outline_edges)
 
 
 def _draw() -> None:
@@ -183,26 +178,22 @@ def _draw() -> None:
     if not overlays or not bpy.context.scene.cloak.tint or obj is None or obj.type != "MESH" or not obj.visible_get():
         return
     key = _key(obj) if obj.data.polygons else None
-    shown = _shown_colors(obj)
-    if key is not None and (shown == HEATMAP or (shown == COLORS and _edits_logo(obj))):
-        _outline.draw(obj, key, "LINES", OUTLINE)
-    elif key is not None and shown != COLORS:
-        _tint.draw(obj, key, "TRIS", TINT)
-
-
-def _edits_logo(obj: bpy.types.Object) -> bool:
-    """Whether the user is at work on the logo, whose outline must then be seen on a worn cloak too."""
-    tool = bpy.context.workspace.tools.from_space_view3d_mode(bpy.context.mode, create=False)
-    return obj.mode == "EDIT" or (tool is not None and tool.idname == PAINT)
-
-
-def _shown_colors(obj: bpy.types.Object) -> str:
-    """Which colours of ours this viewport shows: a tint would falsify trained colours and hide a heat map."""
+    if key is None:
+        return
+    # Which colours of ours this viewport shows: a tint would falsify trained colours and hide a heat map.
     shading = bpy.context.space_data.shading
     if shading.type == "SOLID":
         roles = (COLORS, HEATMAP) if shading.color_type == "VERTEX" else ()
-        return next((role for role in roles if colors.shows(obj, role)), "")
-    return COLORS if colors.is_dressed(obj) else ""
+        shown = next((role for role in roles if colors.shows(obj, role)), "")
+    else:
+        shown = COLORS if colors.is_dressed(obj) else ""
+    # Who is at work on the logo must see its outline on a worn cloak too.
+    tool = bpy.context.workspace.tools.from_space_view3d_mode(bpy.context.mode, create=False)
+    edits = obj.mode == "EDIT" or (tool is not None and tool.idname == PAINT)
+    if shown == HEATMAP or (shown == COLORS and edits):
+        _outline.draw(obj, key, "LINES", OUTLINE)
+    elif shown != COLORS:
+        _tint.draw(obj, key, "TRIS", TINT)
 
 
 @persistent
@@ -223,7 +214,7 @@ _note_change = persistent(lambda *_: session.note_change(geometry=True))
 
 
 def _forget() -> None:
-    with contextlib.suppress(ValueError):
+    if bpy.app.timers.is_registered(_catch_up):
         bpy.app.timers.unregister(_catch_up)
     for kept in (_stats, _tint, _outline):
         kept.clear()

@@ -40,8 +40,8 @@ HELP = "Move: place   Wheel, + -: size   R: rotate with the mouse   Click, Enter
 class MouseOperator(BodyOperator):
     """Base of operators that follow the mouse over a viewport, and show what they will take until they end.
 
-    `begin(context, obj)` reads the body's `surface` and returns the colour of the preview on it; `follow(mouse)` is told
-    where the mouse is, [2] pixels of the viewport's main region; `write` makes a logo of what the preview showed.
+    `begin(context, obj)` reads the body's `surface` and returns the colour of the preview on it; `follow(mouse)` gets
+    the mouse's place, [2] pixels of the viewport's main region; `write` makes a logo of what the preview showed.
     """
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -60,7 +60,8 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         lines = column.column(align=True)
         lines.use_property_split = False
         figure(lines, f"{stats.faces:,} faces, {stats.area_share:.1%} of the area", AREA, "FACESEL")
-        figure(lines, f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}", PROJECTED)
+        share = stats.projected_area / max(stats.whole_projected_area, 1e-12)
+        figure(lines, f"From the front: {stats.projected_area:.3f} m², {share:.1%}", PROJECTED)
         if not stats.faces:
             lines.label(text="Empty: select faces and press Assign", icon="ERROR")
         for name, share in stats.covered:

@@ -55,12 +55,11 @@ def _fill(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def smiley_stamp() -> np.ndarray:
     """A ring with two eyes and a mouth."""
-    y, x = 1 - 2 * (np.mgrid[:RESOLUTION, :RESOLUTION] + 0.5) / RESOLUTION
-    x = -x
-    radius = np.hypot(x, y)
+    across, down = 2 * (np.mgrid[:RESOLUTION, :RESOLUTION][::-1] + 0.5) / RESOLUTION - 1
+    radius = np.hypot(across, down)
     ring = (radius <= 1) & (radius >= 0.78)
-    eyes = np.hypot((np.abs(x) - 0.32) / 0.8, y - 0.25) <= 0.17
-    mouth = (np.hypot(x, y) <= 0.60) & (np.hypot(x, y) >= 0.38) & (y < -0.12)
+    eyes = np.hypot((np.abs(across) - 0.32) / 0.8, down + 0.25) <= 0.17
+    mouth = (radius <= 0.60) & (radius >= 0.38) & (down > 0.12)
     return ring | eyes | mouth
 
 
@@ -76,15 +75,6 @@ def image_stamp(image: bpy.types.Image | None) -> np.ndarray:
     if not ink.any():
         raise InputError(f"Picture '{image.name}' has no dark, opaque pixels: those are the ink of a stamp")
     return ink
-
-
-def under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:
-    """Mask [n] of the points [n, 2 or more], the stamp inside +-1, that lie under ink."""
-    height, width = stamp.shape
-    column = np.floor((plane[:, 0] + 1) / 2 * width).astype(int)
-    row = np.floor((1 - plane[:, 1]) / 2 * height).astype(int)
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    return inside & stamp[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
 
 
 @dataclass(frozen=True)
@@ -141,7 +131,9 @@ class Placed:
         plane = projection.of(surface.centers, surface.middle)
         inside = np.flatnonzero((np.abs(plane[:, 0]) <= 1) & (np.abs(plane[:, 1]) <= 1) & surface.shown)
         facing = surface.normals[inside] @ projection.direction < 0
-        inside = inside[facing & under_ink(plane[inside], self.ink)]
+        inside = inside[facing]
+        column, row = ((plane[inside, :2] * [1, -1] + 1) / 2 * self.ink.shape[::-1]).astype(int).T
+        inside = inside[self.ink[np.minimum(row, len(self.ink) - 1), np.minimum(column, self.ink.shape[1] - 1)]]
         if not len(inside):
             return inside
         points = projection.of(surface.points, surface.middle)

@@ -77,7 +77,13 @@ def _action_poses(obj: bpy.types.Object, step: int) -> list[Pose]:
 
 
 def _fits(action: bpy.types.Action, owner: bpy.types.ID) -> bool:
-    for curve in _curves(action, owner):
+    """Whether an action moves a property that the owner has."""
+    if bpy.app.version < (4, 4, 0):
+        bags = [action] if action.id_root in (owner.id_type, "UNSPECIFIED") else []
+    else:
+        slot, strips = _slot(action, owner), [strip for layer in action.layers for strip in layer.strips]
+        bags = [strip.channelbag(slot) for strip in strips] if slot is not None else []
+    for curve in (curve for bag in bags if bag is not None for curve in bag.fcurves):
         with suppress(ValueError):  # the owner has no such property
             owner.path_resolve(curve.data_path)
             return True
@@ -87,16 +93,6 @@ def _fits(action: bpy.types.Action, owner: bpy.types.ID) -> bool:
 def _slot(action: bpy.types.Action, owner: bpy.types.ID) -> object | None:
     """The action's slot for this kind of owner (actions have slots from Blender 4.4)."""
     return next((s for s in action.slots if s.target_id_type in (owner.id_type, "UNSPECIFIED")), None)
-
-
-def _curves(action: bpy.types.Action, owner: bpy.types.ID) -> list[bpy.types.FCurve]:
-    if bpy.app.version < (4, 4, 0):
-        return list(action.fcurves) if action.id_root in (owner.id_type, "UNSPECIFIED") else []
-    slot = _slot(action, owner)
-    if slot is None:
-        return []
-    bags = (strip.channelbag(slot) for layer in action.layers for strip in layer.strips)
-    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
 
 
 def extent(obj: bpy.types.Object) -> tuple[float, float, float]:

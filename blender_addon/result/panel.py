@@ -24,6 +24,7 @@ from .reasons import result_reason
 from .render_check import Verdict
 from .wear import last_worn
 
+COARSE = "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"
 RENDERS = ("With the cloak", "Without")
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
 LATEST, SHOWN = 4, 6  # most outputs to list, most people in photographs to show
@@ -97,8 +98,9 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
             box = self.layout.box()
             wrapped(box, context, warning, icon="ERROR")
             box.operator("cloak.use_standard_view")
-        if dressed and (words := colors.solid_reason(active_body(context), context.space_data)):
-            wrapped(self.layout, context, words, icon="INFO")
+        shading = getattr(context.space_data, "shading", None)
+        if dressed and shading and shading.type == "SOLID" and colors.worn_cloth(active_body(context).data)[0]:
+            wrapped(self.layout, context, COARSE, icon="INFO")
         row = column.row(align=True)
         row.operator("cloak.open_report", icon="URL")
         row.operator("cloak.render_check", icon="RENDER_STILL")

@@ -9,7 +9,6 @@ from ..files.errors import InputError
 from ..files.reading import MAX_TEXT_BYTES, read_bytes
 from ..files.specs import reach, split_spec, without_options
 from ..session import session
-from .program import start_words
 
 SAMPLES = {"BARE": "sample:train", "CLOTHED": "sample-clothed:train"}
 """Training splits of the sample people; the other splits are held out for evaluation."""
@@ -58,14 +57,13 @@ def _values(words: list[str]) -> dict[str, str]:
 
 def absolute_detector(spec: str) -> str:
     """A detector's name with the files in it as absolute paths: the trainer works in a folder of its own."""
-    return ":".join(_absolute_file(part) for part in split_spec(spec))
-
-
-def _absolute_file(part: str) -> str:
-    for path in (part, part.rpartition("@")[0]):  # what follows the @ are options
-        if path and Path(path).is_file():
-            return str(Path(path).absolute()) + part[len(path) :]
-    return part
+    parts = split_spec(spec)
+    for number, part in enumerate(parts):
+        for path in (part, part.rpartition("@")[0]):  # what follows the @ are options
+            if path and Path(path).is_file():
+                parts[number] = str(Path(path).absolute()) + part[len(path) :]
+                break
+    return ":".join(parts)
 
 
 def cloak_command(program: str, *words: object) -> list[str]:
@@ -75,7 +73,8 @@ def cloak_command(program: str, *words: object) -> list[str]:
     """
     words = [str(word) for word in words]
     require(words)
-    return [*start_words(program), *words, "--json"]
+    module = ["-m", "cloak_core"] if "python" in Path(program).name.lower() else []
+    return [program, *module, *words, "--json"]
 
 
 def train_command(program: str, options: list[str], scene: Path, logo: Path, run: Path) -> list[str]:

@@ -112,7 +112,8 @@ class Job:
         self.read_progress()
         if code is None:
             return True
-        self.outputs.append(self._said())
+        # A trainer that somebody else started has said nothing here.
+        self.outputs.append(self._out.read_text("utf-8", "replace") if self._out.is_file() else "")
         if code == 0 and not self._cancelled and len(self.outputs) < len(self._commands):
             self._process = None
             self.start_or_fail()
@@ -124,10 +125,6 @@ class Job:
         """Read how far it is from its log of events, where it runs and has one."""
         if self.running and self._events is not None:
             self.progress = read_events(self._events)
-
-    def _said(self) -> str:
-        """What the command that has ended said on standard output; of a trainer that somebody else started, nothing."""
-        return self._out.read_text("utf-8", "replace") if self._out.is_file() else ""
 
     def _verdict(self, code: int) -> tuple[str, str]:
         if code == STOPPED or (self._cancelled and code != 0):
@@ -292,7 +289,6 @@ def waits(job: Job) -> str:
 
 
 def _follow() -> None:
-    """Show how far the jobs are, and leave the scene alone."""
     for job in session.jobs:
         job.read_progress()
     redraw(panels_alone=True)

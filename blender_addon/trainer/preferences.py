@@ -31,11 +31,6 @@ def user_folder(name: str) -> Path:
     return Path(bpy.utils.user_resource("DATAFILES", path=f"cloak/{name}", create=True))
 
 
-def runs_folder() -> Path:
-    """Where runs of files that were never saved go: beside Blender's own data, so that they outlive the add-on."""
-    return Path(bpy.utils.user_resource("DATAFILES", path="cloak runs", create=True))
-
-
 def trainer() -> str:
     """The program to train with. Raises `InputError` with what to do."""
     return find_program(preferences().program, preferences().wheel)

@@ -56,11 +56,6 @@ def find_program(chosen: str = "", wheel: str = "") -> str:
     return place
 
 
-def start_words(program: str) -> list[str]:
-    """What starts the program; a Python starts it as a module."""
-    return [program, "-m", "cloak_core"] if "python" in Path(program).name.lower() else [program]
-
-
 def clean_environment() -> dict[str, str]:
     """The environment for the trainer: without what would point its Python at Blender's libraries.
 

@@ -57,24 +57,20 @@ def run_reason(context: bpy.types.Context, action: str) -> str:
         return f"{state.title} is not being trained"
     if action == "followed":
         return f"{state.title} is followed already" if session.training_of(state.path) else ""
-    if action == "resumed":
-        return "" if state.resumable else _ended_reason(state)
+    if action == "resumed" and state.state == RUNNING:
+        return f"{state.title} is being trained: Attach follows it"
+    if action == "resumed" and state.state == DONE:
+        return f"{state.title} is done ({state.progress.describe()}): Extend trains on from its colours"
+    if action == "resumed" and not state.path.is_dir():
+        return f"{state.title} never began, so there is nothing to go on with: press Start"
+    if action == "resumed" and not state.options:
+        return f"{state.path}.input, which the add-on keeps for Resume, is not there: press Start, or Extend"
     if action == "extended" and train_reason(context):
         return train_reason(context)
     if action in ("extended", "deleted") and state.state == RUNNING:
         return f"{state.title} is being trained: stop it first"
     colored = action != "extended" or (state.path / "colors.npy").is_file()
     return "" if colored else f"{state.title} has no colours yet"
-
-
-def _ended_reason(state: RunState) -> str:
-    if state.state == RUNNING:
-        return f"{state.title} is being trained: Attach follows it"
-    if state.state == DONE:
-        return f"{state.title} is done ({state.progress.describe()}): Extend trains on from its colours"
-    if not state.path.is_dir():
-        return f"{state.title} never began, so there is nothing to go on with: press Start"
-    return f"{state.path}.input, which the add-on keeps for Resume, is not there: press Start, or Extend"
 
 
 class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason, trains=True):

@@ -18,9 +18,9 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.blend_paths import absolute, blend_folder, first_free, portable
-from ..blender.marks import COLORS
+from ..blender.marks import COLORS, OWN_MATERIAL, layer_name
 from ..blender.mesh_arrays import mesh_triangles, polygon_loops, require_object_mode, topology, vertex_points
-from ..blender.pictures import Cloth, load_cloth, replace_picture
+from ..blender.pictures import Cloth, load_cloth
 from ..body.garments import pieces_of, write_worn
 from ..body.objects import object_of, refusal, require_body, scene_axes
 from ..exchange.bodies import Bodies
@@ -251,7 +251,9 @@ class LiveColors:
         if obj is None or obj.mode != "OBJECT" or not path.exists():
             return False
         stamp = path.stat().st_mtime_ns
-        naked = not self._seen or colors.lost_its_cloak(obj)
+        # What undo takes; Show Original leaves material and attributes where they are.
+        marked = all(layer_name(obj.data, role) for role in (OWN_MATERIAL, COLORS))
+        naked = not (self._seen and marked and any(map(colors.is_cloak, obj.data.materials)))
         if stamp == self._seen and not naked:
             return False
         self.write(context, obj, read_colors(path, count=len(self._mine)), dress=naked)
@@ -271,7 +273,10 @@ class LiveColors:
             colors.show_attribute(obj, COLORS)
         else:
             for image in {colors.worn_cloth(one.data)[0] for one in (obj, *pieces)} - {None}:
-                replace_picture(image, self._run / CLOTH_FILE)
+                name, new = image.name, load_cloth(self._run / CLOTH_FILE)
+                image.user_remap(new)
+                bpy.data.images.remove(image)
+                new.name = name
         obj.cloak.worn = str(self._run)
 
     def _cloth(self, obj: bpy.types.Object, first: int = 0) -> Cloth | None:

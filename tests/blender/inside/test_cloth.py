@@ -2,7 +2,6 @@
 
 import json
 import os
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -91,17 +90,6 @@ def test_a_picture_goes_onto_bodies_whose_modifiers_make_faces(tmp_path, modifie
     bpy.ops.cloak.cloth_picture(filepath=str(tmp_path / "print.png"), width=METRES)
     assert colors.worn_cloth(obj.data)[1].sum() == 50
     assert np.abs(colors.written_colors(obj)[:50] - 0.2).max() < 1.01 / 255
-
-
-def test_a_solid_viewport_is_told_to_be_coarser(clothed):
-    obj, _, _ = clothed
-    space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID"))
-    assert "Material Preview" in colors.solid_reason(obj, space)
-    space.shading.type = "MATERIAL"
-    assert colors.solid_reason(obj, space) == colors.solid_reason(obj, None) == ""
-    colors.undress(obj)
-    space.shading.type = "SOLID"
-    assert colors.solid_reason(obj, space) == ""
 
 
 def test_a_map_of_the_users_stays_the_active_one(tmp_path):

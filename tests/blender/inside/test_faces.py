@@ -11,6 +11,7 @@ from cloak.body.objects import logo_reason
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.files.errors import InputError
 from cloak.logo import overlay
+from cloak.logo.figures import logo_stats
 from cloak.session import session
 from made import centers, make_egg, make_grid, select_only, set_mode
 
@@ -83,11 +84,11 @@ def test_figures():
     obj.scale = (2, 2, 2)
     bpy.context.view_layer.update()
     mask = centers(obj)[:, 0] < 0
-    stats = overlay.worn_stats(obj, mask)
+    stats = logo_stats(overlay.worn_parts(obj, mask))
     assert stats.faces == mask.sum() and stats.hidden == 0
     assert stats.area_share == pytest.approx(mask.mean(), abs=0.01)
     assert stats.projected_area == pytest.approx(16 * mask.mean(), rel=0.01)  # 4 m x 4 m, seen squarely
-    assert stats.projected_share == pytest.approx(mask.mean(), abs=0.01)
+    assert stats.whole_projected_area == pytest.approx(16, rel=0.01)
 
 
 def test_hidden_faces_are_said_not_taken():
@@ -95,7 +96,7 @@ def test_hidden_faces_are_said_not_taken():
     faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 30)
     hidden = np.arange(len(obj.data.polygons)) < 10
     obj.data.polygons.foreach_set("hide", hidden)
-    assert overlay.worn_stats(obj, faces.read_faces(obj, "a")).hidden == 10
+    assert logo_stats([(obj, faces.read_faces(obj, "a"))]).hidden == 10
     assert faces.select_faces(obj, faces.read_faces(obj, "a")) == 10
     assert faces.read_selection(obj).sum() == 20
 

@@ -44,7 +44,7 @@ def redraw() -> None:
         poses_reason(bpy.context)
         export_summary(bpy.context)
         garments.is_dressed(bpy.context.object)
-        garments.unseen_on(bpy.context.object)
+        garments.wearable(bpy.context.object, meshes=False)
         overlay.active_stats(bpy.context.object)
 
 
@@ -170,5 +170,5 @@ def test_what_lies_on_the_body_and_is_no_mesh_is_named():
         bpy.context.collection.objects.link(obj)
     bpy.context.view_layer.objects.active = body
     bpy.context.view_layer.update()
-    assert [o.name for o in garments.unseen_on(body)] == ["Badge", "Hair", "Jacket"]
+    assert [o.name for o in garments.wearable(body, meshes=False)] == ["Badge", "Hair", "Jacket"]
     assert garments.wearable(body) == []

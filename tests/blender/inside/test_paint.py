@@ -88,7 +88,7 @@ def test_hidden_faces_and_posed_bodies():
     for point in key.data:
         point.co.z += 5
     key.value = 1
-    faces.remove_logo(obj, "Logo")
+    bpy.ops.cloak.logo_remove()
     paint(((place[0], place[1], place[2] + 5), 0.15))
     assert len(painted(obj)) > 10
 

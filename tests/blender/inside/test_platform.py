@@ -132,9 +132,10 @@ def test_modules_are_imported_relatively(trees):
 
 
 def test_it_writes_into_no_folder_of_its_own():
-    from cloak.trainer.preferences import runs_folder, user_folder
+    from cloak.properties import output_folder
+    from cloak.trainer.preferences import user_folder
 
-    own = Path(sys.modules["cloak"].__file__).parent
-    assert not user_folder("test").is_relative_to(own) and not runs_folder().is_relative_to(own)
-    assert not runs_folder().is_relative_to(user_folder("")), "what was trained outlives the extension"
+    own, runs = Path(sys.modules["cloak"].__file__).parent, output_folder(bpy.context.scene.cloak)
+    assert not user_folder("test").is_relative_to(own) and not runs.is_relative_to(own)
+    assert not runs.is_relative_to(user_folder("")), "what was trained outlives the extension"
     assert not list(own.rglob("*.log"))

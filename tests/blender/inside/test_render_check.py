@@ -144,8 +144,8 @@ def test_a_failed_cloak_gets_no_green_tick(tmp_path, stub, monkeypatch):
         "check",
         lambda job: result._judge(job, plan, ("builtin",), obj.session_uid),
     )
-    said = iter(["", answer(0.8), answer(0.9)])
-    monkeypatch.setattr(Job, "_said", lambda self: next(said))
+    verdict = render_check.Verdict((0.8, 0.9), (), "builtin", 0.5)
+    monkeypatch.setattr(render_check, "verdicts", lambda *_: [verdict])
     job.wait(120)
     assert job.state == "done" and job.is_bad_news and "The cloak failed" in obj.cloak.verdict
 

@@ -13,6 +13,7 @@ from cloak.result import try_it
 from cloak.session import session
 from cloak.trainer import command_lines, jobs, program
 from cloak.trainer import preferences as preferences_module
+from cloak.trainer.command_lines import cloak_command
 from cloak.trainer.jobs import Job
 from cloak.trainer.preferences import preferences, trainer, trainer_reason
 from cloak.training.operators import train_reason
@@ -49,7 +50,7 @@ def test_the_program_is_found_where_installers_put_it_and_not_started(nowhere, p
         program.find_program()
     made = make_program(nowhere / place, f"touch '{tmp_path}/started'")
     assert program.find_program() == str(made) and trainer_reason() == ""
-    assert program.start_words(str(made)) == [str(made)] and not (tmp_path / "started").exists()
+    assert cloak_command(str(made), "x") == [str(made), "x", "--json"] and not (tmp_path / "started").exists()
 
 
 def test_the_line_that_installs_the_trainer_names_the_wheel_that_was_chosen(nowhere):
@@ -71,7 +72,7 @@ def test_what_is_chosen_comes_first(nowhere, tmp_path, monkeypatch):
     made = make_program(tmp_path / "checkout/.venv/bin/cloak")
     assert program.find_program(str(tmp_path / "checkout")) == program.find_program(str(made)) == str(made)
     python = make_program(tmp_path / "host-python")
-    assert program.start_words(program.find_program(str(python))) == [str(python), "-m", "cloak_core"]
+    assert cloak_command(program.find_program(str(python)))[:3] == [str(python), "-m", "cloak_core"]
     for chosen in ("/nowhere/cloak", str(tmp_path)):
         with pytest.raises(InputError, match="cannot be run: choose another"):
             program.find_program(chosen)
@@ -194,21 +195,6 @@ def test_settings_that_cannot_work_are_named(ready, tmp_path):
             assert re.search(words, train_reason(bpy.context))
         for key, value in before.items():
             setattr(settings, key, value)
-
-
-@pytest.mark.parametrize(
-    ("spec", "parts"),
-    [
-        ("builtin", ["builtin"]),
-        (r"darknet:C:\nets\a.cfg:D:/a.weights@224", ["darknet", r"C:\nets\a.cfg", "D:/a.weights@224"]),
-        ("python:/home/d.py:load", ["python", "/home/d.py", "load"]),
-        (r"python:d:\d.py:load", ["python", r"d:\d.py", "load"]),
-    ],
-)
-def test_the_colon_of_a_drive_separates_nothing(monkeypatch, spec, parts):
-    asked = []
-    monkeypatch.setattr(command_lines, "_absolute_file", lambda part: asked.append(part) or part)
-    assert command_lines.absolute_detector(spec) == spec and asked == parts
 
 
 def test_files_in_a_detectors_name_become_absolute(tmp_path, monkeypatch):

@@ -69,7 +69,7 @@ def test_figures_say_what_covers_the_logo_and_count_only_what_is_seen(chest):
     assert faces.logo_names(shirt.data) == ["chest"]
     over = centers(shirt)[faces.read_faces(shirt, "chest")]
     assert (over[:, 1] < 0).all(), "the back stays plain"
-    faces.remove_logo(shirt, "chest")
+    shirt.data.attributes.remove(shirt.data.attributes["chest"])
     bpy.data.objects["Shirt"].cloak.left_out = True
     assert overlay.active_stats(chest) == bare
 
