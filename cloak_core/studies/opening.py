@@ -54,7 +54,7 @@ def clothes_cover(logo: str | None = None) -> Cover:
 def _chest_cover() -> Cover:
     """The faces of chest and hips that look forward, of the sample bodies."""
     rig, topology = body_rig(), sample_bodies().topology
-    forward = np.isin(rig.segment_of_triangle(), (NUMBER["chest"], NUMBER["pelvis"])) & (rig.normals[:, 2] > 0.1)
+    forward = np.isin(rig.segment_of_triangle, (NUMBER["chest"], NUMBER["pelvis"])) & (rig.normals[:, 2] > 0.1)
     return Cover(np.unique(faces_on_rig(topology)[forward]), topology, name="chest")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Integer
 from safetensors.numpy import load, save
 
-from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.fitting import Fit, entries_of_rows
 from cloak_core.sources.photographs.person import Person
 from cloak_core.sources.photographs.posing import Posed
 from cloak_core.sources.photographs.shading import LIMITS
@@ -25,7 +25,7 @@ def pack_fit(fit: Fit) -> bytes:
     """Pack a fit; its person is not in it."""
     lenders, first, row = np.unique(fit.lender, return_index=True, return_inverse=True)
     counts = np.diff(fit.crow)[first]
-    entry = _entries(fit.crow[first], counts)
+    entry = entries_of_rows(fit.crow[first], counts)
     low, high = LIMITS
     numbers = {
         "dressed": _bits(fit.pixels, fit.person.shape),
@@ -57,7 +57,7 @@ def unpack_fit(data: bytes, person: Person) -> Fit:
     start = np.concatenate([[0], np.cumsum(count)])
     share = share / np.repeat(np.maximum(np.add.reduceat(share, start[:-1]), 1), count)  # a pixel is whole
     counts = count[row]
-    entry = _entries(start[row], counts)
+    entry = entries_of_rows(start[row], counts)
     low, high = LIMITS
     return Fit(
         person=person,
@@ -76,11 +76,6 @@ def unpack_fit(data: bytes, person: Person) -> Fit:
 
 def _quality(stored: dict[str, np.ndarray]) -> dict[str, float]:
     return {key.removeprefix("quality_"): float(stored[key][0]) for key in stored if key.startswith("quality_")}
-
-
-def _entries(start: Integer[np.ndarray, " R"], counts: Integer[np.ndarray, " R"]) -> Integer[np.ndarray, " E"]:
-    """List the entries of rows, each from `start` on, `counts` of them."""
-    return np.repeat(start - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
 
 
 def _bits(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

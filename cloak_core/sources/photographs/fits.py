@@ -14,7 +14,7 @@ from cloak_core.files.reading import read_ahead
 from cloak_core.jobs.job import Executor, Job, in_order
 from cloak_core.jobs.processes import Processes
 from cloak_core.sources.photographs.compact import pack_fit, read_quality, unpack_fit
-from cloak_core.sources.photographs.fitting import Fit, Fitter
+from cloak_core.sources.photographs.fitting import Fit, fit_all
 from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.person import Person
 
@@ -155,7 +155,7 @@ def fit_people(
 
 def fit_some(people: Sequence[Person]) -> list[bytes]:
     """Fit people, packed (`compact`): what a process of another core or machine does."""
-    return [pack_fit(fit) for fit in Fitter().fit_all(people)]
+    return [pack_fit(fit) for fit in fit_all(people)]
 
 
 def person_identity(person: Person) -> str:

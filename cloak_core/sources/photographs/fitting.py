@@ -22,14 +22,19 @@ from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.sources.photographs.landmarks import INDEX, Landmarks
-from cloak_core.sources.photographs.people import Person
-from cloak_core.sources.photographs.posing import Posed, pose_to
+from cloak_core.sources.photographs.person import Person
+from cloak_core.sources.photographs.posing import LIMBS, Posed, pose_to
 from cloak_core.sources.photographs.rig import NUMBER, SEGMENTS, Rig, body_rig
 from cloak_core.sources.photographs.shading import around, exposure_and_cast, shading
 
 ROUNDS = 3
 """Of widening; each takes one rasterization."""
 WIDTHS = (0.75, 1.7)
+"""How much narrower or wider than the rig's a segment may become."""
+WIDENED = (("pelvis",), ("chest",), *((f"l_{p}", f"r_{p}") for p in ("arm", "forearm", "thigh", "shin")))
+"""Segments that become as wide as the mask says; left and right alike."""
+LEAST_SEEN = 20
+"""Pixels of a segment, and of its twin, below which the mask says nothing of its width."""
 FAR = 40.0
 """Distance of the camera in picture heights; perspective is taken out of the vertices, to within 0.01 px."""
 REACH = {"head": 0.12, "hand": 0.02, "foot": 0.03, "garment": 0.12}
@@ -86,131 +91,42 @@ class Fit:
         return sha256_record([self.person.identity, sha256_arrays(*own)])
 
 
-class Fitter:
-    """Poses the rig's body to people and draws its triangles into their masks."""
+def fit_all(people: Sequence[Person]) -> list[Fit]:
+    """Fit people together, as poses of one scene: what depends on the mesh alone is done once for all of them."""
+    rig = body_rig()
+    masks = [person.mask for person in people]
+    widths: list[dict[str, float]] = [{} for _ in people]
+    for round_ in range(ROUNDS + 1):
+        posed = [pose_to(person.landmarks, rig, own) for person, own in zip(people, widths, strict=True)]
+        if round_ == ROUNDS:
+            break
+        # How wide a limb is drawn changes which part of the mask is nearest to it, so widths are found in rounds.
+        seen = _views(posed, masks, rig, samples=1)
+        widths = [
+            _widened(own, _faces(view, mask.shape), mask, person.box[3] - person.box[1], rig)
+            for own, view, mask, person in zip(widths, seen, masks, people, strict=True)
+        ]
+    seen = _views(posed, masks, rig, samples=None)
+    return [_drawn(*parts, rig) for parts in zip(people, masks, posed, seen, strict=True)]
 
-    def __init__(self) -> None:
-        self.rig = body_rig()
-        self._segment = self.rig.segment_of_triangle()
 
-    def fit(self, person: Person, landmarks: Landmarks | None = None, widen: Number = 1.0) -> Fit:
-        """Fit one person. landmarks: hers, where they are to be others than the file's; widen: of all widths."""
-        return self.fit_all([person], [landmarks or person.landmarks], widen)[0]
-
-    def fit_all(
-        self, people: Sequence[Person], landmarks: Sequence[Landmarks] | None = None, widen: Number = 1.0
-    ) -> list[Fit]:
-        """Fit people together, as poses of one scene: what depends on the mesh alone is done once for all of them."""
-        landmarks = landmarks or [person.landmarks for person in people]
-        masks = [person.mask for person in people]
-        widths: list[dict[str, float]] = [{} for _ in people]
-        for _ in range(ROUNDS):
-            posed = [pose_to(points, self.rig, own) for points, own in zip(landmarks, widths, strict=True)]
-            seen = self._views(posed, masks, 1)
-            widths = [
-                self._widened(own, _faces(view, mask.shape), mask, person.box[3] - person.box[1])
-                for own, view, mask, person in zip(widths, seen, masks, people, strict=True)
-            ]
-        widths = [{name: width * widen for name, width in own.items()} for own in widths]
-        posed = [pose_to(points, self.rig, own) for points, own in zip(landmarks, widths, strict=True)]
-        seen = self._views(posed, masks, None)
-        return [self._drawn(*parts) for parts in zip(people, landmarks, masks, posed, seen, strict=True)]
-
-    def _views(self, posed: Sequence[Posed], masks: Sequence[np.ndarray], samples: int | None) -> list[View]:
-        """See each posed body through a far camera that shows its person's crop."""
-        cameras, bodies = [], []
-        for pose, mask in zip(posed, masks, strict=True):
-            height, width = mask.shape
-            vertices, distance = pose.vertices(self.rig), FAR * height
-            centre = np.array([width / 2, -height / 2])
-            vertices[:, :2] = centre + (vertices[:, :2] - centre) * (1 - vertices[:, 2:] / distance)
-            field = float(2 * np.degrees(np.arctan(height / 2 / distance)))
-            pivot = (float(centre[0]), float(centre[1]), 0.0)
-            cameras.append(Camera(distance, 0.0, 0.0, field, width, height, pivot=pivot))
-            bodies.append(vertices.astype(np.float32))
-        scene = Bodies(np.stack(bodies), self.rig.triangles.astype(np.int32))
-        view_cache = ViewCache(scene, RenderSettings(samples=samples, light=Light(1.0, 0.0, 0.0)))
-        return [view_cache.view(number, camera) for number, camera in enumerate(cameras)]
-
-    def _widened(
-        self, widths: dict[str, float], faces: np.ndarray, mask: Bool[np.ndarray, "h w"], height: Number
-    ) -> dict[str, float]:
-        """Each segment as much wider or narrower as its part of the mask is than it."""
-        if not (faces >= 0).any():
-            return widths
-        body = np.bincount(self._segment[faces[faces >= 0]], minlength=len(SEGMENTS))
-        window = around(mask, REACH["garment"] * height)
-        faces, mask = faces[window], mask[window]
-        if not (faces >= 0).any():
-            return widths
-        away, nearest = distance_transform_edt(faces < 0, return_indices=True)
-        near = mask & (away <= REACH["garment"] * height)
-        part = np.bincount(self._segment[faces[tuple(nearest[:, near])]], minlength=len(SEGMENTS))
-        found = dict(widths)
-        for pair in (("pelvis",), ("chest",), *((f"l_{p}", f"r_{p}") for p in ("arm", "forearm", "thigh", "shin"))):
-            numbers = [NUMBER[name] for name in pair]
-            if body[numbers].sum() < 20:
-                continue
-            for name in pair:
-                found[name] = float(np.clip(found.get(name, 1.0) * part[numbers].sum() / body[numbers].sum(), *WIDTHS))
-        return found
-
-    def _drawn(
-        self, person: Person, landmarks: Landmarks, mask: Bool[np.ndarray, "h w"], posed: Posed, view: View
-    ) -> Fit:
-        """Rasterized by area, cut to the mask, and drawn out to where the mask reaches."""
-        height = person.box[3] - person.box[1]
-        quality = _landmark_error(posed, self.rig, landmarks, height)
-        pixels, coverage = view.pixels.numpy(), view.coverage.numpy()
-        crow, triangle, share = view.map.arrays
-        share = share.astype(np.float64)
-        row = np.full(mask.size, -1)
-        row[pixels[coverage > 0.5]] = np.flatnonzero(coverage > 0.5)
-        row = row.reshape(mask.shape)
-        most = _largest(crow, share)
-        main = np.full(row.shape, -1)
-        main[row >= 0] = triangle[most[row[row >= 0]]]
-        chosen, source = self._drawn_out(row, main, mask, height)
-        counts = np.diff(crow)[source]
-        entry = np.repeat(crow[source] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
-        # A pixel of the mask is hers as a whole: where the body's own edge runs through it, shares are scaled up.
-        shares = share[entry] / np.repeat(np.maximum(coverage[source], 1e-6), counts)
-        body = row >= 0
-        quality["covered"] = float((body & mask).sum() / mask.sum())
-        quality["spilled"] = float((body & ~mask).sum() / max(body.sum(), 1))
-        return Fit(
-            person,
-            chosen,
-            pixels[source],
-            np.concatenate([[0], np.cumsum(counts)]),
-            triangle[entry],
-            shares,
-            triangle[most[source]],
-            shading(person.image, mask, height).reshape(-1)[chosen],
-            exposure_and_cast(person.image),
-            posed,
-            quality,
-        )
-
-    def _drawn_out(
-        self, row: np.ndarray, faces: np.ndarray, mask: Bool[np.ndarray, "h w"], height: Number
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels of the mask to dress, and for each the row of the view whose faces it shows."""
-        window = around(mask, max(REACH.values()) * height)
-        whole, row, faces = np.full(row.shape, -1), row[window], faces[window]
-        segment = np.where(faces >= 0, self._segment[faces], -1)
-        source, best = np.full(row.shape, -1), np.full(row.shape, np.inf)
-        for part, reach in REACH.items():
-            names = [name for name in SEGMENTS if name.endswith(part)] if part != "garment" else GARMENT
-            of_part = np.isin(segment, [NUMBER[name] for name in names])
-            if not of_part.any():
-                continue
-            away, nearest = distance_transform_edt(~of_part, return_indices=True)
-            nearer = (away < best) & (away <= reach * height)
-            best[nearer], source[nearer] = away[nearer], row[tuple(nearest)][nearer]
-        whole[window] = source
-        chosen = np.flatnonzero(mask & (whole >= 0))
-        return chosen, whole.reshape(-1)[chosen]
+def _views(posed: Sequence[Posed], masks: Sequence[np.ndarray], rig: Rig, samples: int | None) -> list[View]:
+    """See each posed body through a far camera that shows its person's crop."""
+    cameras, bodies = [], []
+    for pose, mask in zip(posed, masks, strict=True):
+        height, width = mask.shape
+        vertices, distance = pose.vertices(rig), FAR * height
+        centre = np.array([width / 2, -height / 2])
+        # The pose is orthographic (weak perspective: one scale for the whole person), the rasterizer's camera is not.
+        # It divides by distance - z; multiplied by that beforehand, every vertex projects to its own x and y.
+        vertices[:, :2] = centre + (vertices[:, :2] - centre) * (1 - vertices[:, 2:] / distance)
+        field = float(2 * np.degrees(np.arctan(height / 2 / distance)))
+        pivot = (float(centre[0]), float(centre[1]), 0.0)
+        cameras.append(Camera(distance, 0.0, 0.0, field, width, height, pivot=pivot))
+        bodies.append(vertices.astype(np.float32))
+    scene = Bodies(np.stack(bodies), rig.triangles.astype(np.int32))
+    view_cache = ViewCache(scene, RenderSettings(samples=samples, light=Light(1.0, 0.0, 0.0)))
+    return [view_cache.view(number, camera) for number, camera in enumerate(cameras)]
 
 
 def _faces(view: View, shape: tuple[int, int]) -> Int64[np.ndarray, "h w"]:
@@ -220,6 +136,98 @@ def _faces(view: View, shape: tuple[int, int]) -> Int64[np.ndarray, "h w"]:
     return faces.reshape(shape)
 
 
+def _widened(
+    widths: dict[str, float], faces: np.ndarray, mask: Bool[np.ndarray, "h w"], height: Number, rig: Rig
+) -> dict[str, float]:
+    """Each segment as much wider or narrower as its part of the mask is than it.
+
+    A segment's part of the mask is all that lies nearer to it than to any other (a Voronoi cell of the drawn body): the
+    mask alone does not say where an arm ends and the trunk begins.
+    """
+    window = around(mask, REACH["garment"] * height)
+    inside, mask = faces[window], mask[window]
+    if not (inside >= 0).any():
+        return widths
+    segment = rig.segment_of_triangle
+    body = np.bincount(segment[faces[faces >= 0]], minlength=len(SEGMENTS))
+    away, nearest = distance_transform_edt(inside < 0, return_indices=True)
+    near = mask & (away <= REACH["garment"] * height)
+    part = np.bincount(segment[inside[tuple(nearest[:, near])]], minlength=len(SEGMENTS))
+    found = dict(widths)
+    for pair in WIDENED:
+        numbers = [NUMBER[name] for name in pair]
+        if body[numbers].sum() < LEAST_SEEN:
+            continue
+        for name in pair:
+            found[name] = float(np.clip(found.get(name, 1.0) * part[numbers].sum() / body[numbers].sum(), *WIDTHS))
+    return found
+
+
+def _drawn(person: Person, mask: Bool[np.ndarray, "h w"], posed: Posed, view: View, rig: Rig) -> Fit:
+    """Rasterized by area, cut to the mask, and drawn out to where the mask reaches."""
+    height = person.box[3] - person.box[1]
+    pixels, coverage = view.pixels.numpy(), view.coverage.numpy()
+    crow, triangle, share = view.map.arrays
+    share = share.astype(np.float64)
+    row = np.full(mask.size, -1)
+    row[pixels[coverage > 0.5]] = np.flatnonzero(coverage > 0.5)
+    row = row.reshape(mask.shape)
+    body = row >= 0
+    main = triangle[_largest(crow, share)]
+    segment = np.full(row.shape, -1)
+    segment[body] = rig.segment_of_triangle[main[row[body]]]
+    chosen, source = _drawn_out(row, segment, mask, height)
+    counts = np.diff(crow)[source]
+    entry = entries_of_rows(crow[source], counts)
+    return Fit(
+        person,
+        chosen,
+        pixels[source],
+        np.concatenate([[0], np.cumsum(counts)]),
+        triangle[entry],
+        # A pixel of the mask is hers as a whole: where the body's own edge runs through it, shares are scaled up.
+        share[entry] / np.repeat(np.maximum(coverage[source], 1e-6), counts),
+        main[source],
+        shading(person.image, mask, height).reshape(-1)[chosen],
+        exposure_and_cast(person.image),
+        posed,
+        _landmark_error(posed, rig, person.landmarks, height)
+        | {
+            "covered": float((body & mask).sum() / mask.sum()),
+            "spilled": float((body & ~mask).sum() / max(body.sum(), 1)),
+        },
+    )
+
+
+def _drawn_out(
+    row: np.ndarray, segment: np.ndarray, mask: Bool[np.ndarray, "h w"], height: Number
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of the mask to dress, and for each the row of the view whose faces it shows.
+
+    row, segment: of the body at each pixel, -1 where it is not. Beyond the body, the nearest part within its own reach
+    lends: a hand reaches less far than a skirt, so the nearest pixel of all would give cloth to what is held in it.
+    """
+    window = around(mask, max(REACH.values()) * height)
+    whole, row, segment = np.full(row.shape, -1), row[window], segment[window]
+    source, best = np.full(row.shape, -1), np.full(row.shape, np.inf)
+    for part, reach in REACH.items():
+        names = [name for name in SEGMENTS if name.endswith(part)] if part != "garment" else GARMENT
+        of_part = np.isin(segment, [NUMBER[name] for name in names])
+        if not of_part.any():
+            continue
+        away, nearest = distance_transform_edt(~of_part, return_indices=True)
+        nearer = (away < best) & (away <= reach * height)
+        best[nearer], source[nearer] = away[nearer], row[tuple(nearest)][nearer]
+    whole[window] = source
+    chosen = np.flatnonzero(mask & (whole >= 0))
+    return chosen, whole.reshape(-1)[chosen]
+
+
+def entries_of_rows(start: Int64[np.ndarray, " R"], counts: Int64[np.ndarray, " R"]) -> Int64[np.ndarray, " E"]:
+    """List the entries of rows of a sparse matrix, each from `start` on, `counts` of them."""
+    return np.repeat(start - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+
+
 def _at_rest(
     posed: Posed, rig: Rig, width: int, pixels: np.ndarray, source: np.ndarray, triangle: np.ndarray
 ) -> Float[np.ndarray, "P 3"]:
@@ -227,10 +235,12 @@ def _at_rest(
     x, y = source % width + 0.5, -(source // width + 0.5)
     corners = posed.vertices(rig)[rig.triangles[triangle]]
     (ax, ay), (bx, by), (cx, cy) = (corners[:, k, :2].T for k in range(3))
+    # Barycentric coordinates of the pixel in its triangle, by areas; projection is affine, so they hold at rest, too.
     twice = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     safe = np.where(np.abs(twice) < 1e-9, 1e-9, twice)
     b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / safe
     c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / safe
+    # The main triangle need not hold the pixel's centre: its nearest corner or edge stands in.
     weights = np.clip(np.stack([1 - b - c, b, c], axis=1), 0, 1)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     rest = np.einsum("pk,pkd->pd", weights, rig.vertices[rig.triangles[triangle]])
@@ -254,14 +264,8 @@ def _largest(crow: np.ndarray, share: np.ndarray) -> np.ndarray:
 def _landmark_error(posed: Posed, rig: Rig, landmarks: Landmarks, height: Number) -> dict[str, float]:
     errors = []
     for side in "lr":
-        for joint, segment in (
-            ("elbow", "arm"),
-            ("wrist", "forearm"),
-            ("knee", "thigh"),
-            ("ankle", "shin"),
-            ("hip", "thigh"),
-            ("shoulder", "arm"),
-        ):
+        ends = [(end, limb) for limb, (_, end) in LIMBS.items()] + [("hip", "thigh"), ("shoulder", "arm")]
+        for joint, segment in ends:
             number = INDEX[f"{side}_{joint}"]
             if landmarks.visibility[number] >= 0.5:
                 x, y, _ = posed.joint(rig, f"{side}_{joint}", f"{side}_{segment}")

@@ -52,6 +52,7 @@ class Rig:
         normal = np.cross(b - a, c - a)
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
+    @cached_property
     def segment_of_triangle(self) -> Int64[np.ndarray, " T"]:
         """The segment that moves each triangle most."""
         return self.weights[self.triangles].sum(axis=1).argmax(axis=1)

@@ -27,12 +27,11 @@ from cloak_core.sources.photographs.views import (
     framing_of,
     logo_positions,
     photograph_view,
+    square_at,
 )
 
 _ORDER = 4
 """Stream of random numbers, apart from those of `core.sampling`."""
-
-
 _CLOTH = 1
 """Stream of random numbers of an image, beside the one of framing and looseness."""
 
@@ -82,8 +81,7 @@ class PeopleSource:
     def _people_of(self, images: Int[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
         rounds, places = np.divmod(images, self.members)
         orders = {r: self._order(r) for r in np.unique(rounds).tolist()}
-        person = [orders[r][place] for r, place in zip(rounds.tolist(), places.tolist(), strict=True)]
-        return np.array(person, np.int64)
+        return np.array([orders[r][place] for r, place in zip(rounds.tolist(), places.tolist(), strict=True)], np.int64)
 
     def _order(self, number: int) -> Int64[np.ndarray, " N"]:
         """Draw the order in which a round shows everybody."""
@@ -131,15 +129,12 @@ def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings
     side = tall * random.uniform(settings.people_context.low, settings.people_context.high)
     away = random.uniform(-1, 1, 2)
     mirror, softness = bool(random.random() < settings.people_mirror), 1 + random.uniform(0, settings.people_soft)
-    starts = []
-    for low, high, most, move in (
-        (x0, x1, fit.person.shape[1], away[0]),
-        (y0, y1, fit.person.shape[0], away[1]),
-    ):
+
+    def start(low: Number, high: Number, move: Number) -> Number:
         free = max(side - (high - low), 0) / 2 + settings.people_shift * tall
-        start = (low + high - side) / 2 + move * min(free, 0.5 * side)
-        starts.append(min(max(start, 0.0), most - side) if side <= most else (most - side) / 2)
-    return Framing(starts[0], starts[1], side, size, mirror, softness)
+        return (low + high - side) / 2 + move * min(free, 0.5 * side)
+
+    return Framing(*square_at(fit, start(x0, x1, away[0]), start(y0, y1, away[1]), side), side, size, mirror, softness)
 
 
 def draw_jitter(random: np.random.Generator, settings: PeopleSettings) -> FitJitter:

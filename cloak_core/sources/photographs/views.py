@@ -18,7 +18,7 @@ from cloak_core.core.cameras import Number
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.places import Places
 from cloak_core.core.view import BakedView, Subject
-from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.fitting import Fit, entries_of_rows
 from cloak_core.sources.photographs.person import Box
 from cloak_core.sources.photographs.resampling import Kernel, Resampling, photograph, resample
 from cloak_core.sources.photographs.rig import faces_on_rig
@@ -71,9 +71,14 @@ def framing_of(fit: Fit, context: Number = CONTEXT, size: int = 416) -> Framing:
     """The square about a person that judges: `context` heights of her box, moved into the photograph where it fits."""
     x0, y0, x1, y1 = fit.person.box
     side = context * max(y1 - y0, x1 - x0)
+    return Framing(*square_at(fit, (x0 + x1 - side) / 2, (y0 + y1 - side) / 2, side), side, size)
+
+
+def square_at(fit: Fit, x: Number, y: Number, side: Number) -> tuple[Number, Number]:
+    """Move a square of the crop into the photograph where it fits; else it shows as much beyond on both sides."""
     height, width = fit.person.shape
     inside = lambda start, most: min(max(start, 0.0), most - side) if side <= most else (most - side) / 2
-    return Framing(inside((x0 + x1 - side) / 2, width), inside((y0 + y1 - side) / 2, height), side, size)
+    return inside(x, width), inside(y, height)
 
 
 def logo_positions(topology: str, face_ids: Int64[np.ndarray, " L"]) -> Int64[np.ndarray, " T"]:
@@ -90,7 +95,7 @@ def shares_of(fit: Fit, position: Int64[np.ndarray, " T"], count: int, jitter: F
     if jitter.move != (0.0, 0.0) or jitter.stretch != (1.0, 1.0):
         rows = _moved_rows(fit, jitter)
         counts = np.diff(crow)[rows]
-        entry = np.repeat(crow[rows] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+        entry = entries_of_rows(crow[rows], counts)
         crow, triangle, share = np.concatenate([[0], np.cumsum(counts)]), triangle[entry], share[entry]
     face = position[triangle]
     kept = face >= 0
@@ -109,8 +114,8 @@ def places_of(fit: Fit, position: Int64[np.ndarray, " T"], count: int, jitter: F
     extent = np.broadcast_to(stretch / np.float32(fit.scale), at.shape).copy()
     face = torch.from_numpy(position[fit.main])
     lay = partial(shares_of, fit, position, count, jitter)
-    lay_own = partial(SparseMap.empty, len(face), 0)
-    return Places(face, torch.from_numpy(at), torch.from_numpy(extent), lay, lay_own)
+    # A photograph shows own clothing by itself: no face is laid onto it.
+    return Places(face, torch.from_numpy(at), torch.from_numpy(extent), lay, partial(SparseMap.empty, len(face), 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +160,7 @@ def photograph_view(
     across = Kernel.of(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
     y, x = np.divmod(fit.pixels, width)
     tall, wide = ((int(at.min()), int(at.max()) + 1) for at in (y, x))
+    # Only a rectangle of the image sees her; its pixels come first, so that the map ends with it.
     rows, columns = down.reached(*tall), across.reached(*wide)
     size = framing.size
     number = np.arange(size * size).reshape(size, size)
@@ -164,12 +170,14 @@ def photograph_view(
     pixels = (y - tall[0]) * (wide[1] - wide[0]) + x - wide[0]
     parts = down.part(rows, *tall), across.part(columns, *wide)
     resampling = Resampling(torch.from_numpy(pixels), torch.from_numpy(light), *parts)
-    subject = Subject(
-        framing.box(fit.person.box),
-        tuple(framing.box(box) for box in fit.person.others),
-        is_alone=False,
-        find_mask=partial(person_mask, fit, down, across),
-    )
+
+    def find_mask() -> Bool[Tensor, "s s"]:
+        """Mark the pixels of the image that show the person by half or more."""
+        mask = torch.from_numpy(fit.person.mask.astype(np.float32)).unsqueeze(2).expand(-1, -1, 3)
+        return resample(mask, down, across)[:, :, 0] >= 0.5
+
+    others = tuple(framing.box(box) for box in fit.person.others)
+    subject = Subject(framing.box(fit.person.box), others, is_alone=False, find_mask=find_mask)
     view = PhotographView(
         height=size,
         width=size,
@@ -187,12 +195,6 @@ def photograph_view(
         kernels=(down, across),
     )
     return view.to(torch.device(device))
-
-
-def person_mask(fit: Fit, down: Kernel, across: Kernel) -> Bool[Tensor, "s s"]:
-    """Mark the pixels of the image that show the person by half or more."""
-    mask = torch.from_numpy(fit.person.mask.astype(np.float32)).unsqueeze(2).expand(-1, -1, 3)
-    return resample(mask, down, across)[:, :, 0] >= 0.5
 
 
 def _moved_rows(fit: Fit, jitter: FitJitter) -> np.ndarray:

@@ -15,7 +15,7 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.compact import pack_fit, unpack_fit
 from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.sources.photographs.fitting import Fitter
+from cloak_core.sources.photographs.fitting import fit_all
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.rig import ANNY, body_rig, faces_on_rig
 from cloak_core.sources.photographs.views import EXACT, FitJitter, Framing, framing_of, logo_positions, photograph_view
@@ -41,7 +41,7 @@ POSES = {"front": (0, 0), "side": (80, 0), "back": (180, 0), "walking": (40, 20)
 @pytest.mark.parametrize("pose", POSES)
 def test_faces_lie_where_they_truly_are(tmp_path, pose):
     person, triangle = person_of(tmp_path, standing(*POSES[pose]))
-    fit, rig = Fitter().fit(person), body_rig()
+    fit, rig = fit_all([person])[0], body_rig()
     assert fit.quality["landmark_px"] < 0.5 and fit.quality["covered"] > 0.9
     centre = rig.vertices[rig.triangles].mean(axis=1)
     truth = triangle[triangle.shape[0] - person.mask.shape[0] :, :].ravel()[fit.pixels]
@@ -52,7 +52,7 @@ def test_faces_lie_where_they_truly_are(tmp_path, pose):
 
 def test_without_depth_the_front_is_fitted_as_well(tmp_path):
     person, triangle = person_of(tmp_path, standing(0, 0), "coco")
-    fit, rig = Fitter().fit(person), body_rig()
+    fit, rig = fit_all([person])[0], body_rig()
     centre = rig.vertices[rig.triangles].mean(axis=1)
     away = np.linalg.norm(fit.rest - centre[triangle.ravel()[fit.pixels]], axis=1)
     assert np.median(away) < 0.05
@@ -105,7 +105,7 @@ def test_another_topology_is_refused():
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     person, _ = person_of(tmp_path_factory.mktemp("fitted"), standing(20, 5))
-    return Fitter().fit(person)
+    return fit_all([person])[0]
 
 
 def dressed_image(fit, framing, color, jitter=EXACT):

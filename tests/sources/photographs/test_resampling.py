@@ -12,7 +12,7 @@ from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.fitting import Fitter
+from cloak_core.sources.photographs.fitting import fit_all
 from cloak_core.sources.photographs.resampling import Kernel, resample, spread_back
 from cloak_core.sources.photographs.views import FitJitter, Framing, logo_positions, photograph_view
 from tests.sources.photographs.made_people import standing
@@ -22,7 +22,7 @@ from tests.sources.photographs.test_fitting import person_of
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     person, _ = person_of(tmp_path_factory.mktemp("fitted"), standing(20, 5))
-    return Fitter().fit(person)
+    return fit_all([person])[0]
 
 
 def kernels(start: float, side: float, size: int, **more: object) -> tuple[Kernel, Kernel]:
