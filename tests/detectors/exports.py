@@ -1,6 +1,6 @@
 """ONNX files as exporters write them today, from random weights and without a network.
 
-`python -m tests.detectors.exports PAGE [FOLDER]` writes docs/reference/onnx-exports.md.
+`python -m tests.detectors.exports TABLE [FOLDER]` writes records/onnx-exports.csv.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
+import pandas as pd
 import torch
 from torch import Tensor, nn
 from torchvision.models.detection.image_list import ImageList
@@ -243,54 +244,28 @@ def _apart(one: OnnxDetector, other: OnnxDetector) -> Apart:
         return apart([one.answer(images)], [other.answer(images)])
 
 
-def main(page: Path, files: Path) -> None:
+def main(table: Path, files: Path) -> None:
     """Write the table; files that are there already are judged as they are."""
-    lines = []
+    records = []
     for (network, exporter), export in EXPORTS.items():
         path = files / f"{network}__{exporter}.onnx".replace(" ", "_").replace(",", "")
         try:
             if not path.exists():
                 export(path=path)
             row = judge(path, LAYOUTS.get(network, ""))
-            why = "onnxruntime does not run it"
+            record = asdict(row) if row else {"why": "onnxruntime does not run it"}
         except Exception as error:  # of many exporters
-            row, why = None, f"not exported: {type(error).__name__}"
-        lines.append((network, exporter, row, why))
-        print(network, exporter, row or why, flush=True)
-    write_text(page, _page(lines))
-
-
-def _page(lines: list[tuple[str, str, Row | None, str]]) -> str:
-    rows = [row for _, _, row, _ in lines if row]
-    counts = [sum(getattr(row, key) for row in rows) for key in ("white_box", "hardened")]
-    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
-    text = [HEAD.format(count=len(rows), white=counts[0], hardened=counts[1], versions=versions)]
-    for network, exporter, row, why in lines:
-        if row is None:
-            text.append(f"| {network} | {exporter} | | | | {why} |")
-            continue
-        found = f"{row.scores:.0e}, {row.boxes_px:.0e} px" if row.white_box and row.scores is not None else ""
-        marks = ["yes" if mark else "no" for mark in (row.white_box, row.hardened)]
-        why = (row.why.partition(".onnx: ")[2] or row.why).partition("; say ")[0]
-        text.append(f"| {network} | {exporter} | {row.opset} | {' | '.join(marks)} | {found or why} |")
-    return "\n".join(text) + "\n"
+            record = {"why": f"not exported: {type(error).__name__}"}
+        why = (record["why"].partition(".onnx: ")[2] or record["why"]).partition("; say ")[0]
+        records.append({"network": network, "exporter": exporter} | record | {"why": why})
+        print(*records[-1].values(), flush=True)
+    columns = ["network", "exporter", *(field.name for field in fields(Row))]
+    frame = pd.DataFrame(records, columns=columns).astype({"opset": "Int64"})
+    write_text(table, frame.to_csv(index=False, float_format="%.0e", lineterminator="\n"))
+    print(*(f"{name} {version(name)}" for name in PACKAGES), sep=", ")
 
 
 PACKAGES = ("ultralytics", "torch", "torchvision", "transformers", "onnx", "onnxruntime", "onnx2torch")
-HEAD = """\
-# ONNX files by exporter
-
-Written by `python -m tests.detectors.exports`, from random weights: of {count} files that onnxruntime runs,
-{white} are white boxes and {hardened} are hardened.
-
-White box: Cloak trains against the file; its answers in torch equal onnxruntime's (last column) and its gradient is
-right. Hardened: moved weights were written into the file, in its own opset, and onnxruntime answers with them as torch
-does.
-
-Versions: {versions}.
-
-| network | exporter | opset | white box | hardened | scores and boxes apart, or why not |
-|---|---|---|---|---|---|"""
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]), Path(sys.argv[2] if len(sys.argv) > 2 else tempfile.mkdtemp()))
