@@ -17,7 +17,7 @@ from cloak_core.files.writing import is_taken
 from cloak_core.studies.hardening.settings import HardenSettings
 
 if TYPE_CHECKING:
-    from cloak_core.studies.hardening.folder import Material
+    from cloak_core.studies.hardening.hardening import Material
     from cloak_core.studies.hardening.student import Student
 
 
@@ -68,9 +68,8 @@ class Harden(Computing):
         from cloak_core.detectors.naming import full_spec
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
         from cloak_core.sources.photographs.people import load_people
-        from cloak_core.studies.hardening.folder import Material
-        from cloak_core.studies.hardening.hardening import harden
-        from cloak_core.studies.hardening.places import check_places
+        from cloak_core.studies.hardening.hardening import Material, harden
+        from cloak_core.studies.hardening.pictures import check_places
         from cloak_core.studies.hardening.students import open_student
 
         self.prepare()

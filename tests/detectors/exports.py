@@ -28,8 +28,7 @@ from cloak_core.detectors.onnx_family.parity import apart
 from cloak_core.detectors.verification.comparing import Apart, sample_images
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_text
-from cloak_core.studies.hardening.onnx_student import OnnxStudent
-from cloak_core.studies.hardening.students import open_student
+from cloak_core.studies.hardening.students import OnnxStudent, open_student
 
 SIDE = 160
 Export = Callable[[Path], None]

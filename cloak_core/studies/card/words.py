@@ -19,7 +19,7 @@ from cloak_core.studies.card.certainty import (
     worn_rows,
 )
 from cloak_core.studies.card.leaderboard import name_of
-from cloak_core.studies.hardening.students import TRAINABLE
+from cloak_core.studies.hardening.student import TRAINABLE
 from cloak_core.studies.report.words import interval, percent
 
 GOOD = 0.9

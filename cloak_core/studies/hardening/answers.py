@@ -1,11 +1,15 @@
-"""How far what one network says of anchors, cells or proposals is from what another says: detection's usual loss terms
-(classes by cross-entropy, boxes by a smooth absolute difference where something is), with the other's answers for
-targets in the place of labels. So no box has to be assigned to a place, and every class is kept.
+"""How far what one network says is from what another says: the loss by which one learns from the other.
+
+Distillation in the place of labels: the student is to say of a cloaked image what the teacher, the detector before it
+was hardened, said of the same image without the cloak (Goldblum et al., "Adversarially robust distillation", AAAI
+2020). The terms are detection's usual ones (classes and objectness by cross-entropy, boxes by distance where something
+is), with the teacher's answers for targets. So no box has to be assigned to a place, and every class is kept.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -14,11 +18,20 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from cloak_core.studies.hardening.distillation import BOX_WEIGHT, FOUND_WEIGHT
+from cloak_core.detectors.darknet.heads import Head, Region, Yolo
+
+BOX_WEIGHT = 2.0
+"""Of places and sizes beside objectness and classes."""
+FOUND_WEIGHT = 4.0
+"""A place where the teacher saw something counts so much more than an empty one: there are a hundred times fewer."""
+LEAST, MOST = 1e-9, 1 - 1e-6
+"""Scores of boxes are kept between these: the logit of what float32 rounds to 0 or 1 is infinite."""
+SMALLEST_BOX = 8.0
+"""Pixels of the images; smaller boxes may be off by as much as one of this side."""
 
 
 class Answer(NamedTuple):
-    """What a network says of B images at A places, before any activation."""
+    """What a network says of B images at A places (anchors, cells, proposals or boxes), before any activation."""
 
     kinds: Float[Tensor, "B A K"]
     """Logits of the classes."""
@@ -28,7 +41,7 @@ class Answer(NamedTuple):
     """A logit whose probability every class's is multiplied by (FCOS' centre-ness)."""
 
     def of(self, rows: Int[Tensor, " b"]) -> Answer:
-        """The answers of these images."""
+        """Select the answers of these images."""
         return Answer(*(None if part is None else part[rows] for part in self))
 
 
@@ -43,23 +56,27 @@ class Reading(NamedTuple):
     """A person is reported where the class's probability, times that of `trust`, is above it."""
 
 
-def answer_distance(
-    said: Answer, wanted: Answer, reading: Reading, surer: Bool[Tensor, " B"] | None = None, sure: float = 0.0
-) -> Float[Tensor, " B"]:
-    """0 where both are equal and nothing is to be surer.
+class Surer(NamedTuple):
+    """Where the student is to be surer than the teacher: of what the teacher reports as a person."""
 
-    surer: images in which a place that is reported as a person is to give the class a probability of at least `sure`.
-    """
+    images: Bool[Tensor, " B"]
+    """In which of the images."""
+    least: float
+    """The least probability of these persons, below 1."""
+
+
+def answer_distance(said: Answer, wanted: Answer, reading: Reading, surer: Surer | None = None) -> Float[Tensor, " B"]:
+    """Compare two answers; 0 where both are equal and nothing is to be surer."""
     said, wanted = (Answer(*(None if part is None else part.float() for part in one)) for one in (said, wanted))
-    if surer is not None and sure and reading.person is not None:
-        wanted = _surer(wanted, reading, surer, sure)
+    if surer is not None and reading.person is not None:
+        wanted = _raised(wanted, reading, surer)
     goal = _probabilities(wanted.kinds, reading)
-    found = 1 - goal[..., 0] if reading.softmax else goal.amax(-1)
     if reading.softmax:
-        classes = (1 + FOUND_WEIGHT * found) * (goal * (wanted.kinds.log_softmax(-1) - said.kinds.log_softmax(-1))).sum(
-            -1
-        )
+        found = 1 - goal[..., 0]
+        apart = (goal * (wanted.kinds.log_softmax(-1) - said.kinds.log_softmax(-1))).sum(-1)
+        classes = (1 + FOUND_WEIGHT * found) * apart
     else:
+        found = goal.amax(-1)
         classes = ((1 + FOUND_WEIGHT * goal) * _divergence(said.kinds, wanted.kinds)).sum(-1)
     each_box = F.smooth_l1_loss(said.boxes, wanted.boxes, reduction="none", beta=0.1).sum(-1)
     boxes = ((found[..., None] if each_box.shape[-1] == 1 else goal) * each_box).sum(-1)
@@ -73,13 +90,14 @@ def _probabilities(kinds: Float[Tensor, "B A K"], reading: Reading) -> Float[Ten
     return kinds.softmax(-1) if reading.softmax else kinds.sigmoid()
 
 
-def _surer(wanted: Answer, reading: Reading, surer: Bool[Tensor, " B"], sure: float) -> Answer:
-    """The answer with the persons in it that are reported raised to the probability `sure`."""
+def _raised(wanted: Answer, reading: Reading, surer: Surer) -> Answer:
+    """Raise the persons that an answer reports to the probability `surer.least`."""
     kinds, trust, person = wanted.kinds.clone(), wanted.trust, reading.person
     score = _probabilities(kinds, reading)[..., person]
     if trust is not None:
         score = score * trust.sigmoid()
-    reported, least = (score > reading.found_at) & surer[:, None], math.log(sure / (1 - sure))
+    reported = (score > reading.found_at) & surer.images[:, None]
+    least = math.log(surer.least / (1 - surer.least))
     own = kinds[..., person].clone()
     kinds[..., person] = -math.inf
     needed = least + kinds.logsumexp(-1) if reading.softmax else torch.full_like(own, least)
@@ -92,16 +110,14 @@ def _surer(wanted: Answer, reading: Reading, surer: Bool[Tensor, " B"], sure: fl
 def _divergence(said: Float[Tensor, "*shape"], wanted: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """Kullback-Leibler divergence of two coins, from their logits; exactly 0 where these are equal."""
     goal = wanted.sigmoid()
-    entropy = F.binary_cross_entropy_with_logits(wanted, goal, reduction="none")
-    return F.binary_cross_entropy_with_logits(said, goal, reduction="none") - entropy
+    return _cross_entropy(said, goal) - _cross_entropy(wanted, goal)
+
+
+def _cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
+    return F.binary_cross_entropy_with_logits(logits, target, reduction="none")
 
 
 # --- what a detector of any kind says of every box, as an answer that another can learn
-
-LEAST, MOST = 1e-9, 1 - 1e-6
-"""Scores are kept between these: the logit of what float32 rounds to 0 or 1 is infinite."""
-SMALLEST_BOX = 8.0
-"""Pixels of the images; smaller boxes may be off by as much as one of this side."""
 
 
 def answer_of(scores: Float[Tensor, "B N K"], boxes: Float[Tensor, "B N 4"]) -> Answer:
@@ -128,18 +144,72 @@ def in_the_order_of(student: Answer, teacher: Answer) -> Answer:
 
 
 def score_distance(
-    student: Answer,
-    teacher: Answer,
-    person: int,
-    found_at: float,
-    surer: Bool[Tensor, " B"] | None = None,
-    sure: float = 0.0,
+    student: Answer, teacher: Answer, person: int, found_at: float, surer: Surer | None = None
 ) -> Float[Tensor, " B"]:
     """Compare two answers: each class by itself, corners in units of the box's mean side.
 
-    person: its class; found_at: the score at which it is reported; surer and sure: see `answer_distance`.
+    person: its class; found_at: the score at which it is reported.
     """
     corners = teacher.boxes
     side = ((corners[..., 2:] - corners[..., :2]).abs().mean(-1, keepdim=True)).clamp(min=SMALLEST_BOX)
     own, goal = (answer._replace(boxes=answer.boxes / side) for answer in (student, teacher))
-    return answer_distance(own, goal, Reading(softmax=False, person=person, found_at=found_at), surer, sure)
+    return answer_distance(own, goal, Reading(softmax=False, person=person, found_at=found_at), surer)
+
+
+# --- the raw maps of Darknet's and YOLOv5's heads, by the terms of YOLO's own loss (Redmon et al., 2016 to 2018)
+
+
+def head_distance(
+    heads: Sequence[Head],
+    said: Sequence[Float[Tensor, "B _ _ _"]],
+    wanted: Sequence[Float[Tensor, "B _ _ _"]],
+    person: int,
+    found_at: float,
+    surer: Surer | None = None,
+) -> Float[Tensor, " B"]:
+    """Compare the student's raw maps with the teacher's, an entry for each head.
+
+    person: its class; found_at: the score at which it is reported; surer: what is raised is the objectness.
+    """
+    total = torch.zeros(len(said[0]), device=said[0].device)
+    for head, ours, theirs in zip(heads, said, wanted, strict=True):
+        mine, goal = head.split(ours.float()), head.split(theirs.detach().float())
+        objectness = _probability(head, goal[:, :, 4])
+        classes, kinds = _classes(head, mine, goal)
+        target = objectness
+        if surer is not None:
+            reported = (objectness * classes[:, :, person] > found_at) & surer.images.view(-1, 1, 1, 1)
+            target = torch.where(reported, objectness.clamp(min=surer.least), objectness)
+        seen = (1 + FOUND_WEIGHT * target) * _coins(_logits(head, mine[:, :, 4]), target)
+        places = (_probability(head, mine[:, :, :2]) - _probability(head, goal[:, :, :2])).square().sum(2)
+        sizes = F.smooth_l1_loss(mine[:, :, 2:4], goal[:, :, 2:4], reduction="none", beta=0.1).sum(2)
+        each = seen + objectness * kinds + BOX_WEIGHT * objectness * (places + sizes)
+        total = total + each.flatten(1).sum(1)
+    return total
+
+
+def _classes(
+    head: Head, mine: Float[Tensor, "B A C h w"], goal: Float[Tensor, "B A C h w"]
+) -> tuple[Float[Tensor, "B A K h w"], Float[Tensor, "B A h w"]]:
+    """Compute the wanted classes' probabilities, and their Kullback-Leibler divergence from those said."""
+    mine, goal = mine[:, :, 5:], goal[:, :, 5:]
+    if isinstance(head, Region) and head.softmax:
+        classes = goal.softmax(2)
+        return classes, (classes * (goal.log_softmax(2) - mine.log_softmax(2))).sum(2)
+    classes = _probability(head, goal)
+    return classes, _coins(_logits(head, mine), classes).sum(2)
+
+
+def _probability(head: Head, raw: Tensor) -> Tensor:
+    """Apply the logistic function, which is in the network's last layer where the head has `new_coords`."""
+    return raw if isinstance(head, Yolo) and head.new_coords else raw.sigmoid()
+
+
+def _logits(head: Head, raw: Tensor) -> Tensor:
+    return torch.logit(raw.clamp(1 - MOST, MOST)) if isinstance(head, Yolo) and head.new_coords else raw
+
+
+def _coins(logits: Tensor, target: Tensor) -> Tensor:
+    """Kullback-Leibler divergence of coins, from logits, whose probabilities are to be `target`."""
+    p = target.clamp(1 - MOST, MOST)
+    return _cross_entropy(logits, target) + (p * p.log() + (1 - p) * (1 - p).log())

@@ -1,8 +1,10 @@
 """Hardening: the detector learns to say of people in cloaks what it said of them without.
 
+The folder: config.json  events.jsonl  checkpoint/  hardened.* (files of the detector's family)  hardened.licence.txt
+
 A turn: a new cloak is attacked against the detector as it stands (never against a copy that is out of date), then the
 detector learns from the same images in it and without it, from pictures, and from pictures with cloth that nobody
-wears (`decoys`), all by distillation from what it was (`distillation`). So no labels are needed, and what nobody
+wears (`decoys`), all by distillation from what it was (`answers`). So no labels are needed, and what nobody
 attacked is to stay as it was.
 """
 
@@ -16,16 +18,31 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from cloak_core import __version__
+from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.events import OnEvent
-from cloak_core.core.loop import Loop, TrainingError
+from cloak_core.core.loop import Loop, LoopFolder, TrainingError
+from cloak_core.core.settings.values import option
 from cloak_core.core.stopping import StopRequest, stop_request
-from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.studies.hardening.folder import HardenFolder, Material, harden_config, open_folder
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_json
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import fit_people, people_identity
+from cloak_core.sources.photographs.people import People
+from cloak_core.studies.hardening.answers import Surer
 from cloak_core.studies.hardening.pictures import Decoys, Pictures
 from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
+from cloak_core.studies.trainings.run_record import environment
 
+FORMAT, EARLIER = "cloak hardening 4", ("cloak hardening 1", "cloak hardening 2", "cloak hardening 3")
+"""EARLIER drew other cloaks, with which their checkpoints do not go on."""
+FREE = ("max_seconds", "checkpoint_every")
+"""Settings that a hardening may be resumed with otherwise."""
 WARM_UP = 0.05
 """Share of the steps over which the learning rate rises."""
 LAST = 0.8
@@ -35,6 +52,24 @@ CLIP = 5.0
 """Longest gradient, over all parameters."""
 _NOISE = 5
 """Stream of random numbers; `pool` and `pictures` have others."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Material:
+    """What a detector is hardened on."""
+
+    bodies: Bodies
+    backgrounds: Backgrounds
+    photographs: Backgrounds | None = None
+    """Pictures of which the detector is to report what it reported; no labels."""
+    people: People | None = None
+    """Those who can be dressed; in cloaks they are to be reported as in their own clothes."""
+
+
+class HardenFolder(LoopFolder):
+    """Paths of a hardening."""
+
+    work = "hardening"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,22 +106,60 @@ def harden(
     fits = [] if material.people is None else fit_people(material.people)
     pool = Pool(settings, material.bodies, material.backgrounds, student.detector, fits)
     pictures = Pictures(pool, material.photographs, student.teacher)
-    config = harden_config(settings, student, material)
-    with (
-        open_folder(Path(out), config, resume) as folder,
-        stop_request(folder.cancel, settings.max_seconds) as stop,
-    ):
+    config = _config(settings, student, material)
+    folder = HardenFolder(Path(out))
+    start = lambda new: write_json(new / "config.json", config)
+    check = lambda: _check(read_json(folder.config), config, folder.path)
+    with folder.opened(resume, start, check), stop_request(folder.cancel, settings.max_seconds) as stop:
         return Hardening(settings, student, pool, pictures, folder, on_event).run_to_end(stop)
 
 
 def _settled(settings: HardenSettings, student: Student) -> HardenSettings:
-    """What the detector and the machine decide where nobody has said it."""
+    """Set what the detector and the machine decide where nobody has said it."""
     if settings.lr is None:
         settings = dataclasses.replace(settings, lr=student.lr)
     if settings.precision == "auto":
         tiles = student.detector.device.type == "cpu" and torch.cpu.get_capabilities().get("amx_bf16", False)
         settings = dataclasses.replace(settings, precision="bfloat16" if tiles else "float32")
     return settings
+
+
+def _config(settings: HardenSettings, student: Student, material: Material) -> dict:
+    """Make config.json: what decides the result, and where it ran."""
+    bodies, photographs, people = material.bodies, material.photographs, material.people
+    return {
+        "format": FORMAT,
+        "cloak": __version__,
+        "settings": dataclasses.asdict(settings),
+        "detector": {"spec": student.spec} | detector_record(student.teacher),
+        "scene": {"name": bodies.name, "poses": list(bodies.names), "identity": bodies.identity},
+        "backgrounds": sha256_record(material.backgrounds.identities()),
+        "photographs": None if photographs is None else sha256_record(photographs.identities()),
+        "people": None if people is None else people_identity(people),
+        "environment": environment(),
+    }
+
+
+def _check(recorded: dict, config: dict, path: Path) -> None:
+    """Check that a folder was begun with the same. InputError names what is other."""
+    if recorded.get("format") in EARLIER:
+        raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin in another --out")
+    if recorded.get("format") != FORMAT:
+        raise InputError(f"{path}: not a folder of cloak harden")
+    for name, value in config["settings"].items():
+        before = recorded["settings"].get(name)
+        if name not in FREE and before != value:
+            words = f"{option(name)} = {before}, not {value}"
+            raise InputError(f"{path}: was begun with other {words}; resume with the same")
+    material = {"bodies (--scene)": ("scene", "identity"), "weights of the detector": ("detector", "sha256")}
+    for words, (part, key) in material.items():
+        if recorded[part].get(key) != config[part][key]:
+            raise InputError(f"{path}: was begun with other {words}; resume with the same")
+    for name in ("backgrounds", "photographs", "people"):
+        before = recorded.get(name)
+        # Earlier records list what later ones hash.
+        if (sha256_record(before) if isinstance(before, list) else before) != config[name]:
+            raise InputError(f"{path}: was begun with other {name}; resume with the same")
 
 
 class Hardening(Loop):
@@ -172,9 +245,11 @@ class Hardening(Loop):
         count: images in cloaks, which come first; kept: the same in their own clothes, which come next.
         """
         student = self.student
-        surer = torch.arange(len(images), device=images.device) < count + kept
+        surer = None
+        if self.settings.sure:
+            surer = Surer(torch.arange(len(images), device=images.device) < count + kept, self.settings.sure)
         student.detector.requires_grad_(True)
-        each = student.distance(images, wanted, surer, self.settings.sure)
+        each = student.distance(images, wanted, surer)
         weights = self._weights(each, count)
         loss = (weights * each).sum() / weights.sum()
         self.optimizer.zero_grad(set_to_none=True)

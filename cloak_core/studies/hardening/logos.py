@@ -29,8 +29,10 @@ and a detector that saw few large cloaks falls to them."""
 
 
 def draw_logo(bodies: Bodies, rng: np.random.Generator) -> Int64[np.ndarray, " L"]:
-    """Faces of a random logo: a few balls about points of the body, a slab of it, or named regions; whole, or one side
-    of it. Large ones are as likely as small ones."""
+    """Draw the faces of a logo: a few balls about points of the body, a slab of it, or named regions.
+
+    Whole, or one side of it. Large ones are as likely as small ones.
+    """
     areas = face_areas(bodies)
     areas = areas / areas.sum()
     wanted = rng.uniform(LEAST, MOST)
@@ -39,7 +41,7 @@ def draw_logo(bodies: Bodies, rng: np.random.Generator) -> Int64[np.ndarray, " L
 
 
 def _fitting(bodies: Bodies, areas: np.ndarray, rng: np.random.Generator) -> Bool[np.ndarray, " F"]:
-    """A random shape, neither too small nor too large nor near one that is judged."""
+    """Draw a random shape, neither too small nor too large nor near one that is judged."""
     for _ in range(1000):
         chosen = _shape(bodies, rng)
         if rng.random() < 0.35:
@@ -80,7 +82,7 @@ def _alike(bodies: Bodies, chosen: np.ndarray, names: tuple[str, ...], areas: np
 
 
 def draw_colors(centres: Float32[np.ndarray, "L 3"], rng: np.random.Generator) -> Float32[np.ndarray, "L 3"]:
-    """First colours of a logo: grey, one colour, noise of each face, or blocks of a few centimetres."""
+    """Draw the first colours of a logo: grey, one colour, noise of each face, or blocks of a few centimetres."""
     kind = rng.random()
     if kind < 0.3:
         return np.full(centres.shape, 0.5, np.float32)
@@ -101,11 +103,6 @@ SQUARE = 1.0
 """Centimetres of what has one colour."""
 PRINTED = 0.3
 """Share of the cloths that begin as a plain print; the others begin as a pattern that nobody trained."""
-
-
-def draw_pattern(rng: np.random.Generator) -> dict[str, str | float]:
-    """Draw settings of a cloth that repeats."""
-    return {"pattern": "tile", "tile_cm": float(rng.uniform(*WIDTHS)), "feature_cm": SQUARE}
 
 
 def first_cloth(cloth: ClothPattern, rng: np.random.Generator) -> Float32[np.ndarray, "S 3"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -13,7 +14,8 @@ from torch import Tensor
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.detector.scoring import person_boxes
+from cloak_core.core.detector.scoring import max_person_score, person_boxes
+from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.hardening.decoys import Texture, draw_decoy, random_texture
 from cloak_core.studies.hardening.pool import DISTANCES, Pool
@@ -28,6 +30,10 @@ MAYBE_PERSON = 0.3
 """A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
 _PICTURES, _DECOYS = 3, 4
 """Streams of random numbers; the pool has others."""
+MOST_WITH_PEOPLE = 0.1
+"""Share of the backgrounds above which they are taken for a folder of people; below it may be the detector's errors."""
+NAMED = 5
+_log = logging.getLogger("cloak")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +55,7 @@ class Pictures:
         self.settings, self.size = pool.settings, pool.settings.size
 
     def plain(self, turn: int) -> Float[Tensor, "P 3 H W"]:
-        """Backgrounds and photographs, half of each where there are some, mirrored at random."""
+        """Draw backgrounds and photographs, half of each where there are some, mirrored at random."""
         rng = np.random.default_rng([self.settings.seed, _PICTURES, turn])
         images = torch.zeros(self.settings.pictures, 3, self.size, self.size)
         for k, image in enumerate(images):
@@ -59,12 +65,15 @@ class Pictures:
 
     @torch.no_grad()
     def decoys(self, turn: int) -> Decoys:
-        """Pictures with cloth that nobody wears: the last cloaks, and random patterns."""
+        """Draw pictures with cloth that nobody wears: the last cloaks, and random patterns."""
         rng = np.random.default_rng([self.settings.seed, _DECOYS, turn])
         without, shown = (torch.zeros(self.settings.decoys, 3, self.size, self.size) for _ in range(2))
         for k in range(len(shown)):
             without[k] = self._part(rng, photograph=bool(k % 2))
-            clear = self._people_in(without[k]) if k % 2 and self.photographs is not None else ()
+            clear = []
+            if k % 2 and self.photographs is not None:
+                found = person_boxes(self.teacher(without[k][None].to(self.pool.device)), MAYBE_PERSON)[0]
+                clear = found[:, :4].tolist()
             shown[k] = draw_decoy(without[k], self.textures(rng), rng, self._silhouette(rng), clear)
         return Decoys(shown.to(self.pool.device), without.to(self.pool.device))
 
@@ -96,7 +105,23 @@ class Pictures:
         covered[view.pixels] = view.coverage
         return covered.view(size, size).roll(int(rng.integers(-size // 3, size // 3)), 1).cpu()
 
-    def _people_in(self, picture: Float[Tensor, "3 H W"]) -> list[list[float]]:
-        """Find boxes of a picture in which there may be somebody."""
-        found = person_boxes(self.teacher(picture[None].to(self.pool.device)), MAYBE_PERSON)[0]
-        return found[:, :4].tolist()
+
+@torch.no_grad()
+def check_places(backgrounds: Backgrounds, detector: Detector, size: int, source: str) -> None:
+    """Ask the detector, as it is used, whether somebody is in any background, before anything is trained.
+
+    size: side of the images, pixels; source: where they come from. A warning names those in which it reports a person.
+    InputError: it does in more than a tenth of them.
+    """
+    found = []
+    for number, name in enumerate(backgrounds.names):
+        image = backgrounds.image(number, (size, size))[None].to(detector.device).float() / 255
+        if float(max_person_score(detector(image))[0]) > detector.operating_point:
+            found.append(name)
+    if not found:
+        return
+    shown = ", ".join(found[:NAMED]) + (", ..." if len(found) > NAMED else "")
+    words = f"{source}: somebody is in {len(found)} of {len(backgrounds)} backgrounds ({shown})"
+    if len(found) > MOST_WITH_PEOPLE * len(backgrounds):
+        raise InputError(f"{words}; backgrounds show nobody, photographs of people go to --photos or --people")
+    _log.warning("%s, says the detector; take out those that show people", words)

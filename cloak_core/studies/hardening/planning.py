@@ -11,8 +11,7 @@ from pathlib import Path
 from cloak_core.core.events import OnEvent, read_events
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
-from cloak_core.studies.hardening.folder import Material
-from cloak_core.studies.hardening.hardening import harden
+from cloak_core.studies.hardening.hardening import Material, harden
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 

@@ -7,7 +7,7 @@ hardening that was stopped goes on as if it had not been.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +38,7 @@ from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.rig import faces_on_rig
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.hardening.decoys import FlatCloth, Texture
-from cloak_core.studies.hardening.logos import draw_colors, draw_logo, draw_pattern, first_cloth
+from cloak_core.studies.hardening.logos import SQUARE, WIDTHS, draw_colors, draw_logo, first_cloth
 from cloak_core.studies.hardening.settings import HardenSettings
 
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
@@ -50,8 +50,6 @@ VIEW_BYTES = 1 << 30
 """Of views that are kept: building one anew takes a hundredth of an update's time."""
 SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
-NO_PATTERN: Mapping[str, str | float] = {}
-"""Colours of faces, which do not repeat."""
 SLOTS = 6
 """Turn k uses slot k % SLOTS. A slot has its own distance and angles, and keeps the last colours of every face."""
 GOES_ON = 0.75
@@ -85,10 +83,6 @@ class Cloak:
         """Colours of the logo's faces as they are."""
         colors = self.optimizer.colors().detach().cpu().numpy()
         return self.pattern.on_faces(colors).astype(np.float32)
-
-    def texture(self) -> Texture:
-        """The cloak as it is, laid flat."""
-        return self.flat.texture(self.face_colors())
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +189,8 @@ class Pool:
         if slot in self.skins and rng.random() < GOES_ON:
             colors = self.skins[slot].cpu().numpy()[logo.face_ids]
         if cloth.random() < self.settings.cloths:
-            pattern = draw_pattern(cloth)
-        settings = self._train_settings(slot, pattern)
+            pattern = {"pattern": "tile", "tile_cm": float(cloth.uniform(*WIDTHS)), "feature_cm": SQUARE}
+        settings = self._train_settings(slot, **pattern)
         worn = pattern_of(settings.pattern, self.bodies, logo)
         colors = first_cloth(worn, cloth) if pattern else colors
         return Cloak(
@@ -218,7 +212,7 @@ class Pool:
         sampler = Sampler(settings, source, len(self.backgrounds))
         return Batcher(settings, sampler, self.backgrounds, pattern, self.device)
 
-    def _train_settings(self, slot: int, pattern: Mapping[str, str | float] = NO_PATTERN) -> TrainSettings:
+    def _train_settings(self, slot: int, **pattern: str | float) -> TrainSettings:
         rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])
         whole, turn = AROUND if slot % 2 else 0, rng.integers(360)
         middle = turn if slot % 4 == 2 else 0  # every second of the one-sided ones is seen from the front

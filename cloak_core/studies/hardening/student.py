@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.writing import write_text
-from cloak_core.studies.hardening.answers import Answer
+from cloak_core.studies.hardening.answers import Answer, Surer
 
 NAME = "hardened"
+TRAINABLE = ("builtin", "darknet", "onnx", "python", "torchvision", "ultralytics")
+"""Families that can be hardened."""
 
 
 class Student(ABC):
@@ -26,8 +28,7 @@ class Student(ABC):
     (the network is always in eval mode): they are those of the photographs that it was trained on, and cloaks must not
     move them. Its scale and shift learn. So the network that is attacked while it learns is the one that will be used.
 
-    Where network and teacher say the same things in the same order, a family has to say how they answer and how two
-    answers compare (`answer`, `compare`); any other has `wanted` and `distance` of its own.
+    A family says how its networks answer, how two answers compare, and how a network is written.
     """
 
     files: ClassVar[tuple[str, ...]]
@@ -37,49 +38,47 @@ class Student(ABC):
 
     def __init__(self, detector: Detector, teacher: Detector, spec: str) -> None:
         self.detector, self.teacher, self.spec = detector, teacher, spec
-        request = parse_spec(spec)
-        options = spec.rpartition("@")[2] if spec != f"{request.family}:{request.what}".rstrip(":") else ""
-        self.request, self.options = request, f"@{options}" if options else ""
+        self.request = parse_spec(spec)
+        options = spec.rpartition("@")[2] if spec != f"{self.request.family}:{self.request.what}".rstrip(":") else ""
+        self.options = f"@{options}" if options else ""
 
     @property
     def network(self) -> nn.Module:
         """What learns and is written."""
         return self.detector.network
 
+    @property
+    def licence(self) -> str:
+        """Of what is hardened, as far as that is known."""
+        return FAMILIES[self.request.family].licence
+
+    @abstractmethod
     def answer(self, detector: Any, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
-        """What the student's or the teacher's network says of images: an answer, or a raw map for each head."""
-        raise NotImplementedError
+        """Ask the student's or the teacher's network about images: an answer, or a raw map for each head."""
 
-    def compare(self, said: Any, wanted: Any, surer: Bool[Tensor, " B"] | None, sure: float) -> Float[Tensor, " B"]:
-        """How far an answer is from that wanted; see `distance`."""
-        raise NotImplementedError
-
-    @torch.no_grad()
-    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Any:
-        """What the teacher says of images, for `distance`: its k-th image is to be answered as images[rows[k]] is."""
-        said = self.answer(self.teacher, images)
-        return said.of(rows) if isinstance(said, Answer) else [raw[rows] for raw in said]
-
-    def distance(
-        self,
-        images: Float[Tensor, "B 3 H W"],
-        wanted: Any,
-        surer: Bool[Tensor, " B"] | None = None,
-        sure: float = 0.0,
-    ) -> Float[Tensor, " B"]:
-        """How far the student's answers are from those wanted; 0 where they are equal and nothing is to be surer.
-
-        surer: images in which what the teacher reports as a person is to get a score of at least about `sure`.
-        """
-        return self.compare(self.answer(self.detector, images), wanted, surer, sure)
+    @abstractmethod
+    def compare(self, said: Any, wanted: Any, surer: Surer | None) -> Float[Tensor, " B"]:
+        """Measure how far an answer is from that wanted; see `distance`."""
 
     @abstractmethod
     def save(self, stem: Path, seen: int) -> str:
         """Write the network as it is into `stem` and the endings in `files`; returns the spec that loads it. seen: how
         many images it learned from, for formats that say that."""
 
+    @torch.no_grad()
+    def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Any:
+        """Ask the teacher, for `distance`: its k-th image is to be answered as images[rows[k]] is."""
+        said = self.answer(self.teacher, images)
+        return [raw[rows] for raw in said] if isinstance(said, list) else said.of(rows)
+
+    def distance(
+        self, images: Float[Tensor, "B 3 H W"], wanted: Any, surer: Surer | None = None
+    ) -> Float[Tensor, " B"]:
+        """Measure how far the student's answers are from those wanted; 0 where they are equal, and nothing is surer."""
+        return self.compare(self.answer(self.detector, images), wanted, surer)
+
     def autocast(self, images: Float[Tensor, "B 3 H W"]) -> torch.autocast:
-        """In which either network is run, where it learns in half precision."""
+        """Make the context in which either network is run: half precision where the student learns in it."""
         return torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16")
 
     def write(self, state: dict[str, Tensor], folder: Path, seen: int) -> str:
@@ -90,21 +89,11 @@ class Student(ABC):
             spec = self.save(folder / NAME, seen)
         finally:
             self.network.load_state_dict(before)
-        write_text(folder / f"{NAME}.licence.txt", self._licence(spec))
+        made = " and ".join(f"{NAME}{ending}" for ending in self.files)
+        licence = (
+            f"{made}: made from the detector {self.spec} by `cloak harden`.\n"
+            f"The licence is that of what it was made from: {self.licence}.\n"
+            f"Load it as {spec}\n"
+        )
+        write_text(folder / f"{NAME}.licence.txt", licence)
         return spec
-
-    @property
-    def licence(self) -> str:
-        """Of what is hardened, as far as that is known."""
-        return FAMILIES[self.request.family].licence
-
-    def _licence(self, spec: str) -> str:
-        names = [f"{NAME}{ending}" for ending in self.files]
-        were, theirs, they, them = (
-            ("was", "Its", "it was", "it") if len(names) == 1 else ("were", "Their", "they were", "them")
-        )
-        return (
-            f"{' and '.join(names)} {were} made from the detector {self.spec} by `cloak harden`.\n"
-            f"{theirs} licence is that of what {they} made from: {self.licence}.\n"
-            f"Load {them} as {spec}\n"
-        )

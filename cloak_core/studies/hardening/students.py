@@ -1,25 +1,55 @@
-"""From a spec to a student: which families can be hardened."""
+"""From a spec to a student: how the detectors of each family learn, and how they are written."""
 
 from __future__ import annotations
 
-import torch
+import hashlib
+from pathlib import Path
 
-from cloak_core.core.detector.protocol import Detector
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cloak_core.detectors import builtin
+from cloak_core.detectors.classes import COCO, UNDERSTOOD, VOC, Description, names_beside
+from cloak_core.detectors.darknet.cfg import read_cfg_text
+from cloak_core.detectors.darknet.detector import DarknetDetector
+from cloak_core.detectors.darknet.heads import Yolo
+from cloak_core.detectors.darknet.layers import BatchNorm
+from cloak_core.detectors.darknet.weights import write_darknet
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
+from cloak_core.detectors.onnx_family.model_file import read_model, read_proto
 from cloak_core.detectors.onnx_family.weights import NotTrainable
+from cloak_core.detectors.pixels import YOLO_GREY, fit
+from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.detectors.specs import parse_spec
+from cloak_core.detectors.torchvision_family.dense import DenseDetector
+from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
+from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
+from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, distances, rows
 from cloak_core.files.errors import InputError
-from cloak_core.studies.hardening.student import Student
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import replace_file, write_bytes, write_json, write_text
+from cloak_core.studies.hardening.answers import (
+    Answer,
+    Reading,
+    Surer,
+    answer_distance,
+    answer_of,
+    head_distance,
+    in_the_order_of,
+    score_distance,
+)
+from cloak_core.studies.hardening.student import NAME, TRAINABLE, Student
+from cloak_core.studies.hardening.torchvision_students import DenseStudent, TwoStageStudent
 
-TRAINABLE = ("builtin", "darknet", "onnx", "python", "torchvision", "ultralytics")
 SOURCE = "harden the weights that it was exported from (a .pt or .pth), export those, and assess both"
 """What to do with a file whose weights cannot be trained."""
 
 
 def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
-    """A detector that is to learn. InputError: one that cannot be read, or whose weights are not in reach."""
+    """Open a detector that is to learn. InputError: one that cannot be read, or whose weights are not in reach."""
     family = parse_spec(spec).family
     if family not in TRAINABLE:
         if family not in FAMILIES:
@@ -32,28 +62,223 @@ def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
             detector.weights.check(detector.path)
     except NotTrainable as error:
         raise InputError(f"harden {error}; {SOURCE}") from None
-    return _student(family, spec, detector, load_detector(spec, device=device))
+    kinds = {"builtin": DarknetStudent, "onnx": OnnxStudent, "python": PythonStudent, "ultralytics": UltralyticsStudent}
+    kinds |= {"torchvision": DenseStudent if isinstance(detector, DenseDetector) else TwoStageStudent}
+    return kinds.get(family, DarknetStudent)(detector, load_detector(spec, device=device), spec)
 
 
-def _student(family: str, spec: str, detector: Detector, teacher: Detector) -> Student:
-    if family == "torchvision":
-        from cloak_core.detectors.torchvision_family.dense import DenseDetector
-        from cloak_core.studies.hardening.torchvision_student import DenseStudent, TwoStageStudent
+class DarknetStudent(Student):
+    """The built-in detector or any .cfg and .weights, by the terms of YOLO's own loss."""
 
-        kind = DenseStudent if isinstance(detector, DenseDetector) else TwoStageStudent
-        return kind(detector, teacher, spec)
-    if family == "ultralytics":
-        from cloak_core.studies.hardening.ultralytics_student import UltralyticsStudent
+    files = (".cfg", ".weights")
+    lr = 1e-3
+    detector: DarknetDetector
 
-        return UltralyticsStudent(detector, teacher, spec)
-    if family == "onnx":
-        from cloak_core.studies.hardening.onnx_student import OnnxStudent
+    def __init__(self, detector: DarknetDetector, teacher: DarknetDetector, spec: str) -> None:
+        super().__init__(detector, teacher, spec)
+        _usual_epsilon(detector.network)
+        detector.network.to(memory_format=torch.channels_last)  # twice as fast to learn, most of it in max pooling
+        detector.memory_format = torch.channels_last
+        own = self.request.family == "builtin"
+        cfg = builtin.CFG if own else Path(self.request.parts[0]).expanduser()
+        self.cfg = read_cfg_text(cfg)
+        self.class_names = () if own else names_beside(cfg, teacher.network.heads[0].classes) or ()
+        """Where a file beside the cfg says them; none where their number does."""
 
-        return OnnxStudent(detector, teacher, spec)
-    if family == "python":
-        from cloak_core.studies.hardening.python_student import PythonStudent
+    def answer(self, detector: DarknetDetector, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
+        inputs, _ = fit(images, detector.network.input_size, detector.letterbox)
+        with self.autocast(images):
+            return detector.network(inputs.contiguous(memory_format=detector.memory_format))
 
-        return PythonStudent(detector, teacher, spec)
-    from cloak_core.studies.hardening.darknet_student import DarknetStudent
+    def compare(self, said: list[Tensor], wanted: list[Tensor], surer: Surer | None) -> Float[Tensor, " B"]:
+        own = self.detector
+        return head_distance(own.network.heads, said, wanted, own.person, own.operating_point, surer)
 
-    return DarknetStudent(detector, teacher, spec)
+    def save(self, stem: Path, seen: int) -> str:
+        write_darknet(self.cfg, self.network, stem, seen)
+        if self.class_names:
+            write_text(stem.with_suffix(".names"), "\n".join(self.class_names) + "\n")
+        if self.request.family == "builtin":
+            return f"builtin:{stem}.weights{self.options}"
+        return f"darknet:{stem}.cfg:{stem}.weights{self.options}"
+
+
+@torch.no_grad()
+def _usual_epsilon(network: nn.Module) -> None:
+    """Batch norm of the original Darknet's files adds its epsilon outside the root; what we write adds it inside, so
+    that the scale takes up the difference."""
+    for norm in network.modules():
+        if isinstance(norm, BatchNorm) and norm.epsilon_outside:
+            scale, _ = norm.scale_and_shift()
+            norm.weight.copy_(scale * (norm.running_var.double() + norm.eps).sqrt())
+            norm.epsilon_outside = False
+
+
+class UltralyticsStudent(Student):
+    """A network with a box at every cell, and original YOLOv5 pickles; every cell of every branch learns.
+
+    InputError: RT-DETR, whose queries stand in no order.
+    """
+
+    files = (".pt",)
+    detector: UltralyticsDetector
+
+    def __init__(self, detector: UltralyticsDetector, teacher: UltralyticsDetector, spec: str) -> None:
+        super().__init__(detector, teacher, spec)
+        self.head = detector.network.model[-1]
+        if not isinstance(self.head, DenseHead | AnchorHead):
+            raise InputError(f"harden {spec}: cannot train RT-DETR, only networks with a box at every cell")
+
+    def answer(self, detector: UltralyticsDetector, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
+        inputs, _ = fit(images, detector.input_size, detector.letterbox, YOLO_GREY)
+        with self.autocast(images):
+            maps = detector.network(inputs)
+        if isinstance(self.head, AnchorHead):
+            return maps
+        boxes = torch.cat([distances(box) for box, _ in maps], dim=1)
+        return Answer(torch.cat([rows(kind) for _, kind in maps], dim=1), boxes.unsqueeze(2))
+
+    def compare(
+        self, said: Answer | list[Tensor], wanted: Answer | list[Tensor], surer: Surer | None
+    ) -> Float[Tensor, " B"]:
+        own, head, point = self.detector, self.head, self.detector.operating_point
+        if not isinstance(head, AnchorHead):
+            reading = Reading(softmax=False, person=own.person, found_at=point)
+            return answer_distance(said, wanted, reading, surer)
+        # YOLOv5's raw maps are in each anchor box, objectness and classes, as Darknet has them.
+        classes = head.m[0].out_channels // head.anchors.shape[1] - 5
+        heads = [Yolo([tuple(a) for a in level], classes, 1.0, new_coords=False) for level in head.anchors.tolist()]
+        return head_distance(heads, said, wanted, own.person, point, surer)
+
+    def save(self, stem: Path, seen: int) -> str:
+        path = stem.with_suffix(".pt")
+        write_ultralytics(path, self.network, Path(self.request.what).expanduser())
+        return f"ultralytics:{path}{self.options}"
+
+
+class OnnxStudent(Student):
+    """A converted graph, box by box; where it chooses among its boxes, each learns from the teacher's most like it.
+
+    The trained weights go back into the file's own graph. Normalisations that the file has folded into its convolutions
+    stay folded and learn with them.
+    """
+
+    files = (".onnx",)
+    detector: OnnxDetector
+
+    def answer(self, detector: OnnxDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
+        """Read every box of a detector's outputs: scores of all classes, as its runtimes report them."""
+        inputs, _ = fit(images, detector.input_size, detector.letterbox, detector.fill)
+        with self.autocast(images):
+            decoded = detector.answer(detector.pixels.apply(inputs))
+        return answer_of(decoded.scores, decoded.boxes)
+
+    def compare(self, said: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
+        own = self.detector
+        if own.weights.chooses:
+            wanted = in_the_order_of(said, wanted)
+        return score_distance(said, wanted, own.person, own.operating_point, surer)
+
+    def save(self, stem: Path, seen: int) -> str:
+        """See `Student.save`. InputError: the file that was begun with is there no more, or has changed."""
+        path, target = self.detector.path, stem.with_suffix(".onnx")
+        original, digest = read_proto(path)
+        if digest != self.teacher.source["file"]:
+            raise InputError(f"{path}: changed since it was loaded; the hardened weights are in the checkpoint")
+        self.detector.weights.write_into(original)
+        data = original.SerializeToString()
+        write_bytes(target, data)
+        self._describe(target, {"file": target.name, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()})
+        layout = ":".join(self.request.parts[1:])
+        return f"onnx:{target}{layout and f':{layout}'}{self.options}"
+
+    @property
+    def licence(self) -> str:
+        said = read_model(self.detector.path).licence
+        return said or f"unknown; {self.detector.path.name} does not say, ask those who made it"
+
+    def _describe(self, target: Path, facts: dict[str, object]) -> None:
+        """Write beside the new file its facts, with what was said beside the old one and holds on, or names of classes.
+
+        What was measured of the old file is left out.
+        """
+        file, described = read_model(self.detector.path), self.detector.path.with_suffix(".json")
+        if file.described != Description():
+            holds = {key: value for key, value in read_json(described).items() if key in UNDERSTOOD}
+            write_json(target.with_suffix(".json"), facts | {"made_from": self.spec} | holds)
+        names = self.detector.class_names
+        if names and not file.names and not file.described.names:
+            beside = names_beside(self.detector.path, len(names))
+            if beside == names and names not in (COCO, VOC):
+                write_text(target.with_suffix(".names"), "\n".join(names) + "\n")
+
+
+LOADER = '''"""{function}() of {file} with the hardened weights beside this file."""
+
+import importlib.util
+from pathlib import Path
+
+import torch
+
+WEIGHTS = Path(__file__).parent / "{weights}"
+MODULE = {file!r}
+
+
+def {function}() -> torch.nn.Module:
+    """Make the network and load the hardened weights into it."""
+    spec = importlib.util.spec_from_file_location("unhardened", MODULE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    network = module.{function}()
+    network.load_state_dict(torch.load(WEIGHTS, weights_only=True))
+    return network
+'''
+
+
+class PythonStudent(Student):
+    """A torch module that answers the same boxes in the same order whatever its weights are.
+
+    InputError: another runtime runs it, or no gradient reaches its parameters.
+    """
+
+    files = (".py", ".pth")
+    detector: PythonDetector
+
+    def __init__(self, detector: PythonDetector, teacher: PythonDetector, spec: str) -> None:
+        super().__init__(detector, teacher, spec)
+        if not detector.differentiable or not list(detector.module.parameters()):
+            raise InputError(f"harden {spec}: its module has no parameters that torch could train")
+        side = max(detector.input_size or (64, 64))
+        detector.requires_grad_(True)
+        with torch.enable_grad():
+            scores = detector.detect(torch.rand(1, 3, side, side, device=detector.device)).scores
+        detector.requires_grad_(False)
+        if not scores.requires_grad:
+            raise InputError(f"harden {spec}: no gradient of its scores reaches its parameters")
+
+    @property
+    def network(self) -> nn.Module:
+        return self.detector.module
+
+    def answer(self, detector: PythonDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
+        # The teacher's precision is its own.
+        half = detector.precision == "bfloat16"
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=half):
+            found = detector.detect(images)
+        scores = [found.scores] if found.other is None else [found.scores, found.other]
+        return answer_of(torch.stack(scores, dim=-1), found.boxes)
+
+    def compare(self, said: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
+        if said.boxes.shape != wanted.boxes.shape:
+            raise InputError(
+                f"harden {self.spec}: answers other numbers of boxes for other weights; return them all, unsuppressed"
+            )
+        return score_distance(said, wanted, 0, self.detector.operating_point, surer)
+
+    def save(self, stem: Path, seen: int) -> str:
+        file, function = self.request.parts
+        weights = {name: value.detach().cpu().contiguous() for name, value in self.network.state_dict().items()}
+        replace_file(stem.with_suffix(".pth"), lambda stream: torch.save(weights, stream))
+        path = str(Path(file).expanduser().absolute())
+        write_text(stem.with_suffix(".py"), LOADER.format(function=function, file=path, weights=f"{NAME}.pth"))
+        return f"python:{stem.with_suffix('.py')}:{function}{self.options}"

@@ -1,12 +1,14 @@
-"""The loss by which torchvision's and ultralytics' networks learn from what they were."""
+"""The losses by which networks learn from what they were."""
 
 import math
 
 import pytest
 import torch
 
-from cloak_core.studies.hardening.answers import Answer, Reading, answer_distance
+from cloak_core.detectors.darknet.heads import Region, Yolo
+from cloak_core.studies.hardening.answers import Answer, Reading, Surer, answer_distance, head_distance
 
+SURER = Surer(torch.tensor([True, False]), 0.9)
 KINDS = [Reading(softmax=True, person=1), Reading(softmax=False, person=1)]
 
 
@@ -46,13 +48,55 @@ def test_a_reported_person_is_to_be_surer_where_asked_and_nothing_else(reading: 
     kinds[:, 1, 0] = 8.0 if reading.softmax else -8.0  # nothing there
     kinds.requires_grad_()
     said = Answer(kinds, torch.zeros(2, 2, 1, 4))
-    each = answer_distance(said, Answer(kinds.detach(), said.boxes), reading, torch.tensor([True, False]), 0.9)
+    each = answer_distance(said, Answer(kinds.detach(), said.boxes), reading, SURER)
     (gradient,) = torch.autograd.grad(each.sum(), kinds)
     assert float(gradient[0, 0, 1]) < -0.1
     assert float(gradient[0, 1].abs().max()) < 1e-5 and float(gradient[1].abs().max()) < 1e-5
     goal = kinds.detach().clone()
     goal[0, 0, 1] = math.log(9) + (goal[0, 0, [0, 2]].logsumexp(0) if reading.softmax else 0.0)  # probability 0.9
-    met = answer_distance(
-        said._replace(kinds=goal), Answer(kinds.detach(), said.boxes), reading, torch.tensor([True, False]), 0.9
-    )
+    met = answer_distance(said._replace(kinds=goal), Answer(kinds.detach(), said.boxes), reading, SURER)
     assert float(met.abs().max()) < 1e-5
+
+
+HEADS = (
+    Region([(1.0, 2.0), (2.0, 3.0)], 3, softmax=True),
+    Yolo([(10.0, 20.0), (20.0, 30.0)], 3, 1.0, new_coords=False),
+    Yolo([(10.0, 20.0), (20.0, 30.0)], 3, 1.05, new_coords=True),
+)
+
+
+def maps(head: Region | Yolo, seed: int) -> torch.Tensor:
+    raw = torch.randn(2, head.channels, 4, 4, generator=torch.Generator().manual_seed(seed))
+    return raw.sigmoid() if getattr(head, "new_coords", False) else raw
+
+
+def test_equal_maps_are_no_distance_apart_and_others_are() -> None:
+    for head in HEADS:
+        same, other = maps(head, 0), maps(head, 1)
+        near, far = (head_distance([head], [raw], [same], 1, 0.5) for raw in (same, other))
+        assert near.shape == (2,)
+        assert float(near.abs().max()) < 1e-3
+        assert float(far.min()) > 1
+
+
+def test_following_the_gradient_leads_to_the_teacher() -> None:
+    for head in HEADS[:2]:
+        wanted, own = maps(head, 0), maps(head, 1).requires_grad_()
+        for _ in range(200):
+            (gradient,) = torch.autograd.grad(head_distance([head], [own], [wanted], 1, 0.5).sum(), own)
+            own = (own - 0.3 * gradient.clamp(-1, 1)).detach().requires_grad_()
+        torch.testing.assert_close(
+            head.split(own)[:, :, 4].sigmoid(), head.split(wanted)[:, :, 4].sigmoid(), atol=0.05, rtol=0
+        )
+
+
+def test_a_person_of_a_map_is_to_be_surer_where_asked_and_nothing_else() -> None:
+    head = Region([(1.0, 1.0)], 1, softmax=True)
+    raw = torch.full((2, 6, 1, 2), -8.0)
+    raw[:, 4, 0, 0] = 0.4  # probability 0.6: reported, from 0.5 up; the other place is empty
+    raw = raw.requires_grad_()
+    each = head_distance([head], [raw], [raw], 0, 0.5, SURER)
+    (gradient,) = torch.autograd.grad(each.sum(), raw)
+    assert float(gradient[0, 4, 0, 0]) < -0.1
+    assert float(gradient[0, 4, 0, 1].abs()) < 1e-5
+    assert float(gradient[1].abs().max()) < 1e-5

@@ -15,10 +15,9 @@ from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.studies.hardening.hardening import rate
-from cloak_core.studies.hardening.onnx_student import OnnxStudent
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import NAME, Student
-from cloak_core.studies.hardening.students import open_student
+from cloak_core.studies.hardening.students import OnnxStudent, open_student
 from tests.core.fakes import box_bodies
 from tests.detectors.helpers import images, write_tiny
 from tests.schemas import validate

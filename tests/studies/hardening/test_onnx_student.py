@@ -12,16 +12,18 @@ import pytest
 import torch
 
 from cloak_core.core.detector.protocol import state_hash
-from cloak_core.core.stopping import StopRequest
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from cloak_core.studies.hardening.folder import Material
-from cloak_core.studies.hardening.hardening import HardenResult, harden
-from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
-from tests.core.fakes import box_bodies, noise_backgrounds
 from tests.detectors.helpers import images
+from tests.studies.hardening.made_students import (
+    FEWER,
+    check_that_a_stopped_one_goes_on,
+    disturb,
+    hardened,
+    losses_of,
+)
 
 onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
 pytest.importorskip("onnxruntime", reason="pip install 'cloak-core[onnx]'")
@@ -29,7 +31,6 @@ pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
 from tests.detectors.test_onnx import HALF, SIDE, Made  # noqa: E402, of the packages above
 
 numpy_helper, INT64 = onnx.numpy_helper, onnx.TensorProto.INT64
-FEW = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "size": 64}
 EXAMPLE = Path(__file__).parents[3] / "examples" / "my_detector.py"
 
 
@@ -171,14 +172,6 @@ CASES = [
 ]
 
 
-@torch.no_grad()
-def disturb(student: Student, *names: str) -> None:
-    generator = torch.Generator().manual_seed(0)
-    for name in names:
-        parameter = student.detector.weights.parameters[name]
-        parameter += 0.05 * parameter.std(correction=0) * torch.randn(parameter.shape, generator=generator)
-
-
 def written(student: Student, folder: Path) -> str:
     folder.mkdir(exist_ok=True)
     return student.write(student.network.state_dict(), folder, 0)
@@ -287,33 +280,14 @@ def test_a_student_whose_graph_chooses_learns_from_the_boxes_most_like_its_own(t
 
 
 def learns(student: Student) -> None:
+    rows, teacher = torch.tensor([0, 1, 0]), state_hash(student.teacher)
     batch = images(2, 64, 64)
-    teacher = state_hash(student.teacher)
-    wanted = student.wanted(batch, torch.tensor([0, 1, 0]))
-    shown = batch[torch.tensor([0, 1, 0])]
+    wanted, shown = student.wanted(batch, rows), batch[rows]
     assert float(student.distance(shown, wanted).abs().max()) < 1e-3
-    generator = torch.Generator().manual_seed(0)
-    parameters = list(student.network.parameters())
-    with torch.no_grad():
-        for weights in parameters:
-            weights += 0.05 * weights.std(correction=0) * torch.randn(weights.shape, generator=generator)
-    student.detector.requires_grad_(True)
-    losses = []
-    for _ in range(4):
-        loss = student.distance(shown, wanted).mean()
-        losses.append(float(loss.detach()))
-        slopes = torch.autograd.grad(loss, parameters)
-        length = 0.1 * losses[-1] / sum(float(slope.square().sum()) for slope in slopes)
-        with torch.no_grad():
-            for weights, slope in zip(parameters, slopes, strict=True):
-                weights -= length * slope
+    disturb(student)
+    losses = losses_of(student, shown, wanted)
     assert losses[-1] < 0.9 * losses[0]
     assert state_hash(student.teacher) == teacher
-
-
-def hardened(spec: str, out: Path, resume: bool = False, **changes: object) -> HardenResult:
-    settings = HardenSettings(**(FEW | changes))
-    return harden(settings, open_student(spec), Material(box_bodies(), noise_backgrounds()), out, resume=resume)
 
 
 @pytest.mark.parametrize(("build", "changes"), [(copied_bias, {}), (plain, {"perturbation": 0.02})])
@@ -322,15 +296,7 @@ def test_a_stopped_hardening_of_a_file_goes_on_to_the_same_bits(
 ) -> None:
     made = Made()
     build(made)
-    spec = f"onnx:{made.save(tmp_path / 'm.onnx')}"
-    whole = hardened(spec, tmp_path / "whole", **changes)
-    with monkeypatch.context() as patched:
-        patched.setattr(StopRequest, "reason", lambda *_: "cancel file")
-        assert hardened(spec, tmp_path / "part", **changes).step == 1
-    rest = hardened(spec, tmp_path / "part", resume=True, **changes)
-    assert (rest.stopped, rest.step) == ("", 2)
-    hashes = [state_hash(load_detector(one)) for one in (spec, whole.spec, rest.spec)]
-    assert hashes[0] != hashes[1] == hashes[2]
+    check_that_a_stopped_one_goes_on(f"onnx:{made.save(tmp_path / 'm.onnx')}", tmp_path, monkeypatch, **changes)
 
 
 def integers(made: Made) -> None:
@@ -421,7 +387,7 @@ def test_a_real_file_is_hardened_as_the_file_that_it_is(name: str, shared: Path,
 def test_a_python_module_learns_and_is_loaded_again(tmp_path: Path) -> None:
     spec = f"python:{EXAMPLE}:load"
     learns(open_student(spec))
-    result = hardened(spec, tmp_path / "out")
+    result = hardened(spec, tmp_path / "out", **FEWER)
     assert result.spec == f"python:{tmp_path}/out/hardened.py:load"
     batch = images(1)
     before, after = load_detector(spec)(batch).scores, load_detector(result.spec)(batch).scores

@@ -15,8 +15,8 @@ from cloak_core.commands.harden import Harden
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
-from cloak_core.studies.hardening.folder import Material
-from cloak_core.studies.hardening.places import check_places, people_among
+from cloak_core.studies.hardening.hardening import Material
+from cloak_core.studies.hardening.pictures import check_places
 from cloak_core.studies.hardening.planning import measure_pace, plan, planned_words, too_few_words
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.students import open_student
@@ -105,7 +105,6 @@ def test_a_folder_of_people_among_backgrounds_is_refused_and_a_few_are_named(
 ) -> None:
     detector = Brightness("brightness", "brightness")
     few = load_backgrounds(pictures(tmp_path / "few", 1, 10))
-    assert people_among(few, detector, 64) == ["p00.png"]
     with caplog.at_level(logging.WARNING):
         check_places(few, detector, 64, "few")
     assert [r.getMessage() for r in caplog.records] == [
@@ -119,7 +118,7 @@ def test_a_folder_of_people_among_backgrounds_is_refused_and_a_few_are_named(
 
 def test_the_command_asks_before_it_trains(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cloak_core.commands.harden.load_scene", lambda _: box_bodies())
-    monkeypatch.setattr("cloak_core.studies.hardening.places.people_among", lambda backgrounds, *_: backgrounds.names)
+    monkeypatch.setattr("cloak_core.studies.hardening.pictures.max_person_score", lambda found: torch.ones(1))
     folder = pictures(tmp_path / "places", 1, 1)
     with pytest.raises(InputError, match="somebody is in 2 of 2 backgrounds"):
         Harden(spec=write_tiny(tmp_path), out=tmp_path / "out", backgrounds=str(folder), assess=False).run()

@@ -11,19 +11,15 @@ import torch
 from torch import nn
 
 from cloak_core.core.detector.protocol import state_hash
-from cloak_core.core.stopping import StopRequest
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from cloak_core.studies.hardening.folder import Material
-from cloak_core.studies.hardening.hardening import HardenResult, harden
-from cloak_core.studies.hardening.settings import HardenSettings
-from cloak_core.studies.hardening.student import NAME, Student
+from cloak_core.studies.hardening.answers import Surer
+from cloak_core.studies.hardening.student import NAME
 from cloak_core.studies.hardening.students import open_student
-from tests.core.fakes import box_bodies, noise_backgrounds
 from tests.detectors.helpers import images
 from tests.detectors.test_torchvision import Case
+from tests.studies.hardening.made_students import check_that_a_stopped_one_goes_on, disturb, losses_of
 
-FEW = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "size": 64}
 HERE = find_spec("ultralytics") is not None
 ultralytics = pytest.mark.skipif(not HERE, reason="pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
 TORCHVISION = [
@@ -78,14 +74,6 @@ def yolo(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return str(path)
 
 
-@torch.no_grad()
-def disturb(student: Student) -> None:
-    """Parameters a little away from the teacher's."""
-    generator = torch.Generator().manual_seed(0)
-    for weights in student.network.parameters():
-        weights += 0.05 * weights.std(correction=0) * torch.randn(weights.shape, generator=generator)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("spec", [*TORCHVISION, *ULTRALYTICS], indirect=True)
 def test_a_student_learns_what_its_teacher_says_and_is_written_as_its_like(spec: str, tmp_path: Path) -> None:
@@ -97,24 +85,15 @@ def test_a_student_learns_what_its_teacher_says_and_is_written_as_its_like(spec:
 
     disturb(student)
     statistics = [m.running_mean.clone() for m in student.network.modules() if isinstance(m, nn.BatchNorm2d)]
-    parameters, losses = list(student.detector.requires_grad_(True).parameters()), []
-    for _ in range(4):
-        each = student.distance(shown, wanted)
-        assert each.shape == (3,) and torch.allclose(each[0], each[2], rtol=1e-3)
-        slopes = torch.autograd.grad(each.mean(), parameters, allow_unused=True)
-        losses.append(float(each.detach().mean()))
-        used = [(w, slope) for w, slope in zip(parameters, slopes, strict=True) if slope is not None]
-        length = 0.1 * losses[-1] / sum(float(slope.square().sum()) for _, slope in used)  # a tenth off, were it linear
-        with torch.no_grad():
-            for weights, slope in used:
-                weights -= length * slope
+    each = student.distance(shown, wanted)
+    assert each.shape == (3,) and torch.allclose(each[0], each[2], rtol=1e-3)
+    losses = losses_of(student, shown, wanted)
     # A network fresh from its .yaml is sure of nothing (scores of 1e-5): there is nothing that it could forget.
     assert ".yaml" in spec or (losses[0] > 10 * before and losses[-1] < 0.95 * losses[0])
     after = [m.running_mean for m in student.network.modules() if isinstance(m, nn.BatchNorm2d)]
     assert all(torch.equal(*pair) for pair in zip(statistics, after, strict=True))
     assert state_hash(student.teacher) == teacher
 
-    student.detector.requires_grad_(False)
     (tmp_path / "out").mkdir()
     written = student.write(student.network.state_dict(), tmp_path / "out", 0)
     again, own, was = load_detector(written)(batch), student.detector(batch), student.teacher(batch)
@@ -136,13 +115,8 @@ def test_another_picture_is_far_and_a_reported_person_is_to_be_surer(spec: str) 
     near, far = student.distance(batch, wanted), student.distance(batch.flip(0), wanted)
     assert float(far.min()) > 100 * float(near.abs().max())
     assert float(student.teacher(batch).scores[0].max()) > student.detector.operating_point
-    surer = student.distance(batch, wanted, torch.tensor([True, False]), 0.9)
+    surer = student.distance(batch, wanted, Surer(torch.tensor([True, False]), 0.9))
     assert float(surer[0]) > 1 and torch.equal(surer[1], near[1])
-
-
-def hardened(spec: str, out: Path, resume: bool = False) -> HardenResult:
-    settings = HardenSettings(**FEW)
-    return harden(settings, open_student(spec), Material(box_bodies(), noise_backgrounds()), out, resume=resume)
 
 
 @pytest.mark.long
@@ -150,14 +124,7 @@ def hardened(spec: str, out: Path, resume: bool = False) -> HardenResult:
 def test_a_stopped_hardening_goes_on_to_the_same_bits(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = hardened(spec, tmp_path / "whole")
-    with monkeypatch.context() as patched:
-        patched.setattr(StopRequest, "reason", lambda *_: "cancel file")
-        assert hardened(spec, tmp_path / "part").step == 1
-    rest = hardened(spec, tmp_path / "part", resume=True)
-    assert (rest.stopped, rest.step) == ("", 2)
-    hashes = [state_hash(load_detector(one)) for one in (spec, whole.spec, rest.spec)]
-    assert hashes[0] != hashes[1] == hashes[2]
+    check_that_a_stopped_one_goes_on(spec, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
