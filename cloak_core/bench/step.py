@@ -19,7 +19,7 @@ from cloak_core.core.batches import Prefetcher
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import EventLog
 from cloak_core.core.logo import make_logo, shirt_trousers
-from cloak_core.core.losses import disappearance
+from cloak_core.core.losses import person_loss
 from cloak_core.core.objective import Objective, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.settings import TrainSettings, make_settings
@@ -126,7 +126,7 @@ class Bench:
         def floor(number: int) -> None:
             ready.grad = None
             for detector in detectors:
-                disappearance(detector(ready), settings.objective.loss).backward()
+                person_loss(detector(ready), settings.objective.loss).mean().backward()
 
         def step(number: int) -> None:
             figures = gradient_step(objective, optimizer, prefetcher.batch(number)).figures

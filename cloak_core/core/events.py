@@ -51,14 +51,11 @@ def read_events(path: str | os.PathLike) -> list[Event]:
     return events
 
 
-def rewind_events(path: Path, step: int) -> float:
-    """Drop what was logged after `step` (the run goes on from there); returns the time of the last event kept."""
-    kept = (
-        [e for e in read_events(path) if isinstance(e.get("step"), int) and e["step"] <= step] if path.exists() else []
-    )
-    kept = [e for e in kept if e.get("type") != "end"]
+def rewind_events(path: Path, step: int) -> None:
+    """Drop what was logged after `step`, and how the run ended: it goes on from there."""
+    events = read_events(path) if path.exists() else []
+    kept = [e for e in events if isinstance(e.get("step"), int) and e["step"] <= step and e.get("type") != "end"]
     write_bytes(path, b"".join(json.dumps(e).encode() + b"\n" for e in kept))
-    return max((e["time"] for e in kept if isinstance(e.get("time"), (int, float))), default=0.0)
 
 
 def _parse(line: bytes) -> Event | None:

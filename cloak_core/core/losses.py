@@ -25,16 +25,6 @@ SURE = 1 - 2**-24
 """The largest float32 below 1: the log of a saturated score is 16.6 and not infinity."""
 
 
-def disappearance(
-    detections: Detections,
-    kind: Loss = "score",
-    operating_point: float = THRESHOLD,
-    margin: float = 1.0,
-) -> Float[Tensor, ""]:
-    """Average `person_loss` over the batch."""
-    return person_loss(detections, kind, operating_point, margin).mean()
-
-
 def person_loss(
     detections: Detections,
     kind: Loss = "score",

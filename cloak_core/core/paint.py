@@ -34,7 +34,10 @@ def compose(
     colors: the logo's, for all images [L, 3] or for each [B, L, 3]. shifts: (dx, dy) in whole pixels, right and down,
     by which the body moves; what leaves the image is lost. Returns images in [0, 1], never NaN for finite input.
     """
-    return Canvas.before(views, backgrounds, shifts).paint(colors)
+    _check(views, [view.map for view in views], (len(backgrounds), *backgrounds.shape[2:]))
+    rows = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
+    pixels_of(rows, backgrounds.shape).copy_(backgrounds)
+    return Canvas.of(views, rows, shifts).paint(colors)
 
 
 def blank(count: int, height: int, width: int, device: torch.device | str = "cpu") -> Float32[Tensor, "P 3"]:
@@ -78,18 +81,6 @@ class Canvas:
     """The light's colour, which multiplies the logo's colours; None: white in every image."""
     logo_count: int
     """L."""
-
-    @staticmethod
-    def before(
-        views: Sequence[BakedView],
-        backgrounds: Float32[Tensor, "B 3 H W"],
-        shifts: Integer[Tensor, "B 2"] | None = None,
-    ) -> Canvas:
-        """Composite B bodies without their logo over a copy of these backgrounds."""
-        _check(views, [view.map for view in views], (len(backgrounds), *backgrounds.shape[2:]))
-        rows = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
-        pixels_of(rows, backgrounds.shape).copy_(backgrounds)
-        return Canvas.of(views, rows, shifts)
 
     @staticmethod
     def of(

@@ -80,40 +80,24 @@ class Backdrops(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
 class Mixture:
-    """Two sources: the second is shown in a part of the images, `rate` of them on average."""
+    """Two sources: the second is shown in a part of the images, `rate` of them on average; the first is dealt out."""
 
-    first: Source
-    second: Source
-    rate: float
-    seed: int
-
-    @property
-    def directions(self) -> int:
-        """Those of the first."""
-        return self.first.directions
-
-    @property
-    def members(self) -> int:
-        """Those of the first."""
-        return self.first.members
-
-    @property
-    def is_fresh(self) -> bool:
-        """Whether both are."""
-        return self.first.is_fresh
+    def __init__(self, first: Source, second: Source, rate: float, seed: int) -> None:
+        self.first = first
+        self.second = second
+        self.rate = rate
+        self.seed = seed
+        self.directions = first.directions
+        self.members = first.members
+        self.is_fresh = first.is_fresh
+        # The CPU, where either needs it.
+        self.works_on = second.works_on if second.works_on.type == "cpu" else first.works_on
 
     @property
     def identity(self) -> str:
-        """That of both."""
+        """SHA-256 (hex) of both."""
         return sha256_record([self.first.identity, self.second.identity, self.rate, self.seed])
-
-    @property
-    def works_on(self) -> torch.device:
-        """The CPU, where either needs it."""
-        devices = (self.first.works_on, self.second.works_on)
-        return next((device for device in devices if device.type == "cpu"), devices[0])
 
     def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
         """See `Source`. The second draws from streams of its own, so that the first draws as it does alone."""

@@ -6,8 +6,8 @@ camera), and photographs of people onto whose clothes faces are laid.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -36,12 +36,6 @@ class CrowdedPixels(UserWarning):
     def __init__(self, pixels: int) -> None:
         super().__init__(f"{pixels} pixels show too many pieces to be exact: sampled 64 x 64")
         self.pixels = pixels
-
-
-def box_of(mask: Bool[Tensor, "H W"]) -> tuple[int, int, int, int]:
-    """Find the bounding box (x0, y0, x1, y1) of a mask, x1 and y1 exclusive; zeros where it is empty."""
-    rows, columns = (mask.any(axis).nonzero().view(-1).tolist() for axis in (1, 0))
-    return (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if rows else (0, 0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -156,8 +150,20 @@ class Surface:
     on a texture or a cloth, so views of these have one for each triangle."""
 
 
+class _Movable:
+    """What is made of tensors, maps and places."""
+
+    def to(self: ViewOrBaked, device: torch.device) -> ViewOrBaked:
+        """Copy the view to a device; itself where it is there."""
+        # A view that is there keeps its map, and with it the map's transpose.
+        if self.pixels.to(device) is self.pixels:
+            return self
+        movable = {column.name: getattr(self, column.name) for column in fields(self)}
+        return replace(self, **{name: value.to(device) for name, value in movable.items() if hasattr(value, "to")})
+
+
 @dataclass(frozen=True, eq=False)
-class View:
+class View(_Movable):
     """What one image shows of faces: N covered pixels, and a sparse map of E entries, pixels x faces."""
 
     height: int
@@ -188,11 +194,6 @@ class View:
         joined = {name: torch.cat([getattr(part, name) for part in parts], -1) for name in names}
         return replace(parts[0], map=SparseMap.stacked([part.map for part in parts]), **joined)
 
-    def to(self, device: torch.device) -> View:
-        """Copy the view to a device; itself where it is there."""
-        # A view that is there keeps its map, and with it the map's transpose.
-        return self if self.pixels.to(device) is self.pixels else _moved(self, device)
-
     @cached_property
     def box(self) -> tuple[int, int, int, int]:
         """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
@@ -219,7 +220,7 @@ class Subject:
 
 
 @dataclass(frozen=True, eq=False)
-class BakedView:
+class BakedView(_Movable):
     """A view in which all but the colours of what is worn is a constant base image: N covered pixels.
 
     Pixels are ordered by what a render does with them: first the M that show places on the clothes, then, up to
@@ -241,14 +242,8 @@ class BakedView:
     light_color: Vector
     """Scales the colours of what is worn."""
     subject: Subject
-    provenance: Mapping[str, object] = field(default_factory=dict)
-    """Where the view is from: photograph, person, angle and the like, for tables of results."""
     stream: tuple[int, ...] | None = None
     """Seeds what a pattern draws at random in this image; None: nothing is drawn."""
-
-    def to(self, device: torch.device) -> BakedView:
-        """Copy the view to a device; itself where it is there."""
-        return self if self.pixels.to(device) is self.pixels else _moved(self, device)
 
     def beside(self, worn: SparseMap) -> BakedView:
         """Give the base of the image beside what is worn (places x colours): own clothing where `worn` has no entry."""
@@ -280,11 +275,6 @@ class BakedView:
         return self.subject.box
 
     @property
-    def base(self) -> Float32[Tensor, "N 3"]:
-        """`base_color` pixel by pixel."""
-        return self.base_color.T
-
-    @property
     def is_whole(self) -> bool:
         """Whether it fills the image, so that no background is seen."""
         return len(self.pixels) == self.height * self.width and bool((self.coverage == 1).all())
@@ -293,10 +283,3 @@ class BakedView:
     def arrays(self) -> list[np.ndarray]:
         """Pixels, coverage and base_color for loops; same memory."""
         return arrays(self.pixels, self.coverage, self.base_color)
-
-
-def _moved(view: ViewOrBaked, device: torch.device) -> ViewOrBaked:
-    """Copy a view's tensors and its map to a device."""
-    movable = {column.name: getattr(view, column.name) for column in fields(view)}
-    moved = {name: value.to(device) for name, value in movable.items() if hasattr(value, "to")}
-    return replace(view, **moved)

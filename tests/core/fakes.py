@@ -14,7 +14,7 @@ from cloak_core.core.places import Places
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.source import Dealt
 from cloak_core.core.technique import Setup, Techniques
-from cloak_core.core.view import BakedView, Box, Subject, box_of
+from cloak_core.core.view import BakedView, Box, Subject
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
@@ -86,6 +86,12 @@ class MadeViews:
 
     def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         return self.views[shown["pose"]]
+
+
+def box_of(mask: torch.Tensor) -> Box:
+    """The bounding box (x0, y0, x1, y1) of a mask [H, W] that is not empty."""
+    rows, columns = (mask.any(axis).nonzero().view(-1).tolist() for axis in (1, 0))
+    return columns[0], rows[0], columns[-1] + 1, rows[-1] + 1
 
 
 def photograph_view(

@@ -33,7 +33,7 @@ def test_a_torn_last_line_and_rubbish_are_skipped(path):
 def test_rewinding_drops_what_a_resumed_run_will_do_again(path):
     with path.open("ab") as file:
         file.write(b'{"type": "st')
-    assert rewind_events(path, 3) == 0.3
+    rewind_events(path, 3)
     assert [e["step"] for e in read_events(path)] == [0, 1, 2, 3]
     log = EventLog(path)
     log.write({"type": "step", "step": 4, "time": 0.4})
@@ -42,7 +42,8 @@ def test_rewinding_drops_what_a_resumed_run_will_do_again(path):
 
 
 def test_rewinding_nothing(tmp_path):
-    assert rewind_events(tmp_path / "events.jsonl", 3) == 0.0
+    rewind_events(tmp_path / "events.jsonl", 3)
+    assert read_events(tmp_path / "events.jsonl") == []
 
 
 def test_not_a_number_is_never_written(path):

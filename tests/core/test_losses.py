@@ -7,19 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cloak_core.core.detector.protocol import Detections
-from cloak_core.core.losses import disappearance, total_variation
+from cloak_core.core.losses import person_loss, total_variation
 from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.files.errors import InputError
+
+
+def disappearance(*arguments, **options):
+    return person_loss(*arguments, **options).mean()
 
 
 def detections(scores, objectness=None, is_person=None):
     scores = torch.as_tensor(scores)
     return Detections(torch.zeros(*scores.shape, 4), scores, objectness, is_person)
-
-
-def test_disappearance_is_the_mean_of_the_best_scores():
-    found = detections([[0.1, 0.7], [0.3, 0.2]])
-    assert disappearance(found).item() == pytest.approx(0.5)
 
 
 def test_objectness_counts_person_boxes_alone():
@@ -45,17 +44,6 @@ def test_a_score_on_either_side_of_the_threshold_has_a_gradient(kind, logit):
     assert logits.grad.abs().sum() > 1e-3
 
 
-def test_the_log_form_keeps_its_gradient_where_the_score_saturates():
-    gradients = {}
-    for kind in ("score", "log"):
-        logits = torch.full((1, 1), 12.0, requires_grad=True)
-        disappearance(detections(torch.sigmoid(logits)), kind).backward()
-        gradients[kind] = logits.grad.item()
-    assert gradients["score"] < 1e-4
-    assert gradients["log"] == pytest.approx(1, abs=0.01)
-    assert math.isfinite(disappearance(detections([[1.0]]), "log").item())
-
-
 def slope(kind, score, **more):
     """Of the loss, with respect to the logit of the only box."""
     logits = torch.logit(torch.tensor([[score]])).requires_grad_()
@@ -73,14 +61,6 @@ def test_the_margin_pulls_down_to_the_operating_point_and_beyond(point):
     assert 0 < below < at
     # The score's own slope there is p (1 - p), a quarter at most.
     assert at > 2 * slope("score", point)
-
-
-def test_the_margin_at_even_odds_less_its_width_is_the_log():
-    point = 1 / (1 + math.exp(-1.0))
-    found = detections([[0.3]])
-    assert disappearance(found, "margin", operating_point=point) == pytest.approx(disappearance(found, "log").item())
-    for saturated in (0.0, 1.0):
-        assert math.isfinite(disappearance(detections([[saturated]]), "margin").item())
 
 
 def test_total_variation_by_hand():

@@ -103,7 +103,7 @@ def test_any_event_log_is_read_and_rewound(tmp_path, lines):
     path = tmp_path / "events.jsonl"
     path.write_bytes(b"\n".join(lines))
     assert all(isinstance(event, dict) for event in read_events(path))
-    assert isinstance(rewind_events(path, 3), (int, float))
+    rewind_events(path, 3)
     read_events(path)
 
 

@@ -15,7 +15,6 @@ from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.measure import measure
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.view import box_of
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
 from cloak_core.patterns.controls import OwnClothing, controls
@@ -28,7 +27,7 @@ from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.studies.wearing.widths import WIDTHS
 from cloak_core.zoo.entry import entry
-from tests.core.fakes import RedDetector
+from tests.core.fakes import RedDetector, box_of
 from tests.schemas import validate
 from tests.sources.photographs.made_people import write_people
 

@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int32, Int64
 from torch import Tensor
 
 from cloak_core.core.view import Cull, FlatTriangles, Screen
-from cloak_core.core.visibility.screen import GRID, GUARD, snap
+from cloak_core.core.visibility.screen import GRID, GUARD, integers, rounded
 
 
 def cut(
@@ -63,7 +63,7 @@ def clip(
     fan, owner = (part < size - 1).nonzero(as_tuple=True)
     fan = fan + 1
     pieces = torch.stack([polygon[corner, :, owner] for corner in (torch.zeros_like(fan), fan, fan + 1)])
-    x, y = snap(pieces.transpose(1, 2), focal[owner], near[owner], width, height).unbind(1)
+    x, y = integers(rounded(pieces.transpose(1, 2), focal[owner], near[owner], width, height)).unbind(1)
     return x, y, near[owner] / pieces[..., 2], owner
 
 

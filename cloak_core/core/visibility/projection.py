@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from cloak_core.core.cameras import Camera, Number, Vector
+from cloak_core.core.cameras import Camera, Vector
 from cloak_core.core.view import Screen
 from cloak_core.core.visibility.screen import GUARD, integers, rounded
 from cloak_core.files.errors import InputError
@@ -23,10 +23,11 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
     width, height = cameras[0].width, cameras[0].height
     if any((camera.width, camera.height) != (width, height) for camera in cameras):
         raise ValueError("the cameras of one batch must share one image size")
-    rows = [
-        (*camera.position(pivot), *_axes(camera), camera.focal, camera.near_plane)
-        for camera, pivot in zip(cameras, pivots, strict=True)
-    ]
+    rows = []
+    for camera, pivot in zip(cameras, pivots, strict=True):
+        # The x of the axes right, up and forward in the world, then their y, then their z.
+        axes = [value for right, up, back in zip(*camera.axes, strict=True) for value in (right, up, -back)]
+        rows.append((*camera.position(pivot), *axes, camera.focal, camera.near_plane))
     if not vertices.shape[2]:
         nothing = vertices.new_zeros(len(rows), 0)
         scale = vertices.new_ones(len(rows), 1)
@@ -50,12 +51,6 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
     bounds = tuple(int(min(max(value, -GUARD), GUARD)) for value in (x0, x1, y0, y1))
     x, y = integers(screen).unbind(1)
     return Screen(width, height, view, x, y, near / depth.clamp(min=near), inside, bounds, focal, near)
-
-
-def _axes(camera: Camera) -> tuple[Number, ...]:
-    """List the x of the camera's axes right, up and forward in the world, then their y, then their z."""
-    right, up, back = camera.axes
-    return tuple(value for r, u, b in zip(right, up, back, strict=True) for value in (r, u, -b))
 
 
 def _not_finite(vertices: Float64[Tensor, "B 3 V"]) -> InputError:

@@ -19,13 +19,6 @@ GUARD = 8192 * GRID
 """Guard band: snapped coordinates stay within [-GUARD, GUARD], so that edge functions fit into int64."""
 
 
-def snap(
-    view: Float64[Tensor, "*B 3 N"], focal: Tensor, near: Tensor, width: int, height: int
-) -> Int32[Tensor, "*B 2 N"]:
-    """Snap points in view space, before the near plane and in the guard band, to the screen."""
-    return integers(rounded(view, focal, near, width, height))
-
-
 def rounded(
     view: Float64[Tensor, "*B 3 N"], focal: Tensor, near: Tensor, width: int, height: int
 ) -> Float64[Tensor, "*B 2 N"]:

@@ -20,6 +20,10 @@ Result = TypeVar("Result")
 def torch_threads(count: int | None = None) -> Iterator[None]:
     """Set torch's number of threads within, where one is given, and set this thread's again at the end.
 
+    One thread is what views are built on: of their hundreds of small operations a second one speeds up none, but where
+    anything else runs on the machine each waits for both threads to be scheduled, which made views 50 times slower.
+    The setting belongs to the calling thread: what others do meanwhile keeps theirs.
+
     torch starts a thread with the number that any thread set last: so later ones begin with this thread's, whatever
     threads that end inside set for themselves.
     """
@@ -29,16 +33,6 @@ def torch_threads(count: int | None = None) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def one_thread() -> contextlib.AbstractContextManager[None]:
-    """Run the operations inside on one CPU thread.
-
-    A view takes hundreds of small operations, and a second thread gains next to nothing in them; but where anything
-    else runs on the machine, each of them waits for both threads to be scheduled, which made views 50 times slower.
-    The setting belongs to the calling thread: what other threads do meanwhile keeps theirs.
-    """
-    return torch_threads(1)
 
 
 def workers(device: torch.device) -> int:
@@ -56,7 +50,7 @@ def spread(work: Callable[[Item], Result], items: Sequence[Item], count: int) ->
     left = iter(range(len(items)))
 
     def run() -> None:
-        with one_thread():
+        with torch_threads(1):
             for index in left:
                 results[index] = work(items[index])
 

@@ -24,7 +24,7 @@ from cloak_core.core.visibility.normals import NormalOperator
 from cloak_core.core.visibility.projection import project
 from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, merge_samples, rasterize, row_bands
 from cloak_core.core.visibility.settings import RenderSettings
-from cloak_core.core.visibility.threads import one_thread, spread, workers
+from cloak_core.core.visibility.threads import spread, torch_threads, workers
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import MemoryCache
 from cloak_core.files.errors import InputError
@@ -107,7 +107,7 @@ class ViewCache:
         """
         count = self._workers(len(keys))
         if len(keys) == 1:
-            with one_thread():
+            with torch_threads(1):
                 return [self._build(keys[0], count)]
         self._load_poses(keys)
         return spread(self._build, keys, count)
@@ -123,7 +123,7 @@ class ViewCache:
 
     def screen(self, keys: Sequence[Key]) -> Screen:
         """Project the views' vertices to the screen."""
-        with one_thread():
+        with torch_threads(1):
             poses = [self._pose(pose) for pose, _ in keys]
             only = len(poses) == 1
             vertices = poses[0].vertices.unsqueeze(0) if only else torch.stack([pose.vertices for pose in poses])
@@ -132,7 +132,7 @@ class ViewCache:
 
     def visibility(self, keys: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
         """Find the nearest triangle at every sample."""
-        with one_thread():
+        with torch_threads(1):
             return rasterize(screen, self._surface.triangles, self.settings.grid, self.cull(keys, screen), window)
 
     def visible(self, keys: Sequence[Key]) -> list[Visibility] | list[Fragments]:

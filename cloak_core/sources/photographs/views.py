@@ -151,10 +151,7 @@ def photograph_view(
     jitter: FitJitter = EXACT,
     device: torch.device | str = "cpu",
 ) -> PhotographView:
-    """View a fitted person whose clothes wear `count` faces (`logo_positions`).
-
-    The box is the person's; the provenance names photograph and person.
-    """
+    """View a fitted person whose clothes wear `count` faces (`logo_positions`)."""
     height, width = fit.person.shape
     down = Kernel.of(framing.y, framing.side, framing.size, height, framing.softness)
     across = Kernel.of(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
@@ -190,7 +187,6 @@ def photograph_view(
         own=torch.zeros(0, 3),
         light_color=tuple(map(float, fit.tint)),
         subject=subject,
-        provenance={"photograph": fit.person.photograph, "person": fit.person.name},
         fit=fit,
         kernels=(down, across),
     )

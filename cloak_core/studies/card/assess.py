@@ -16,7 +16,7 @@ from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.logo import Cover, area_share, load_logo
 from cloak_core.core.pattern import Pattern
-from cloak_core.core.visibility.threads import one_thread
+from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.files.errors import InputError, one_line
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import remove_all_leftovers, write_json
@@ -272,7 +272,7 @@ class Assessment:
 
     def _trained(self, faces: Int64[np.ndarray, " L"], angles: str, steps: int) -> list[Trained]:
         """Train on one thread: another number sums in another order, and hundreds of updates make that a figure."""
-        with one_thread():
+        with torch_threads(1):
             return self.store.train_repetitions(faces, [self.spec], angles=angles, steps=steps)
 
     def _measure(self, name: str, trained: Sequence[Trained]) -> None:

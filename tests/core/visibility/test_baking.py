@@ -56,7 +56,7 @@ def test_the_logo_and_the_rest_add_up_to_the_view(on_cloth: bool, textured: bool
     body = torch.zeros(250, 3).index_add_(0, view.map.row, torch.where(worn, 0, view.map.weight)[:, None] * shown)
     expected = torch.zeros(HEIGHT * WIDTH, 3)
     expected[view.pixels] = (body + view.specular[:, None]) * light
-    torch.testing.assert_close(baked.base, expected[baked.pixels], rtol=0, atol=1e-6)
+    torch.testing.assert_close(baked.base_color.T, expected[baked.pixels], rtol=0, atol=1e-6)
     matrix = torch.zeros(HEIGHT * WIDTH, FACES).index_put_(
         (view.pixels[view.map.row][worn], view.map.column[worn]), view.map.weight[worn], accumulate=True
     )

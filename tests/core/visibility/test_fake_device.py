@@ -60,7 +60,7 @@ def render(shifted: bool, device: str = "cuda") -> None:
             make = lambda *shape: torch.rand(shape, device=device)
             colors = make(view.map.width, 3)
             shifts = torch.zeros(2, 2, dtype=torch.int64, device=device) if shifted else None
-            canvas = Canvas.before([on_device(view)] * 2, make(2, 3, 30, 40), shifts)
+            canvas = Canvas.of([on_device(view)] * 2, make(2 * 30 * 40 + 1, 3), shifts)
             kept = canvas.logo.paint(colors, canvas.base, canvas.target, canvas.rows)
             gradient = canvas.logo.gradient(kept, make(2, 3, 30, 40), colors.shape)
             assert canvas.rows.device.type == gradient.device.type == "cuda" and gradient.shape == colors.shape

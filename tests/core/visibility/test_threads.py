@@ -6,7 +6,7 @@ import time
 import pytest
 import torch
 
-from cloak_core.core.visibility.threads import one_thread, spread
+from cloak_core.core.visibility.threads import spread, torch_threads
 
 
 @pytest.fixture(autouse=True)
@@ -38,6 +38,6 @@ def test_spreading_work_changes_nothing_for_later_threads() -> None:
 
 
 def test_one_thread_is_over_at_its_end() -> None:
-    with one_thread():
+    with torch_threads(1):
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == in_a_new_thread() == 2
