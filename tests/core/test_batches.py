@@ -1,7 +1,6 @@
 """When the next batch is built: beside the detector, or between two steps."""
 
 import threading
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -48,19 +47,3 @@ def test_when_a_batch_is_built_changes_no_bit(tmp_path, monkeypatch):
         found[ahead] = run(tmp_path / str(ahead), **scheme).colors
     assert threads == {True: {"MainThread", "batches"}, False: {"MainThread"}}
     assert np.array_equal(found[True], found[False])
-
-
-def test_threads_make_views_where_the_cpu_makes_them(two_cores, monkeypatch):
-    """A GPU leaves the cores to views of people; its own views, and views that are kept, are asked for one by one."""
-    monkeypatch.setattr(batches, "_cores", lambda: 16)
-    torch.set_num_threads(2)
-    batcher = Batcher.__new__(Batcher)
-
-    def count(on: str, works_on: str, is_fresh: bool = True) -> int:
-        batcher.device = torch.device(on)
-        source = SimpleNamespace(works_on=torch.device(works_on), is_fresh=is_fresh)
-        batcher.sampler = SimpleNamespace(source=source)
-        return batcher._workers()
-
-    assert count("cpu", "cpu") == 2 and count("cpu", "cpu", is_fresh=False) == 1
-    assert count("cuda", "cpu") == batches.MOST_WORKERS and count("cuda", "cuda") == 1

@@ -5,7 +5,7 @@ import pytest
 
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import load_logo, make_logo
-from cloak_core.core.prints import PRINTS, print_picture
+from cloak_core.core.prints import print_picture
 from cloak_core.core.settings import make_settings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.cloth import ClothPattern, Grid
@@ -72,21 +72,3 @@ def test_a_cloth_begins_with_a_print_as_sharp_as_its_squares(samples: Bodies) ->
     # What is no whole number of pieces wide is filled without a seam all the same.
     cloth = ClothPattern(logo, Grid.of(0.3, 0.0012), bodies=samples)
     assert np.abs(cloth.picture(first_colors(settings, cloth, samples)) - piece / 255).max() < 0.003
-
-
-def test_a_cloth_that_begins_otherwise_takes_the_mean_of_its_faces(samples: Bodies) -> None:
-    logo = load_logo(samples, "chest")
-    cloth = ClothPattern(logo, Grid.of(0.25, 0.05), bodies=samples)
-    settings = make_settings("best", initial="random").optimization
-    first = first_colors(settings, FacePattern(logo, samples), samples)
-    assert np.array_equal(first_colors(settings, cloth, samples), cloth.from_faces(first))
-
-
-def test_every_print_can_be_begun_with() -> None:
-    for name in PRINTS:
-        assert make_settings("photographs", initial=name).optimization.initial == name
-
-
-def test_the_transfer_preset_begins_with_the_animal() -> None:
-    assert make_settings("transfer").optimization.initial == "animal"
-    assert make_settings("best").optimization.initial == "grey"

@@ -4,7 +4,6 @@ import torch
 
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.files.errors import InputError
-from cloak_core.studies.trainings import heatmap as module
 from cloak_core.studies.trainings.heatmap import heatmap
 from tests.core.fakes import SIDE, BrokenDetector, TinyDetector, box_bodies, noise_backgrounds
 
@@ -31,20 +30,6 @@ def test_heat_is_where_the_detector_looks():
     assert 0 < heat.sum() < 0.8 * 3 * 32 * 64 / (3 * 32 * 64)
 
 
-def test_it_says_how_far_it_is():
-    told = []
-    heatmap(
-        box_bodies(2),
-        TopRowDetector(),
-        noise_backgrounds(),
-        [0.0, 20.0],
-        size=64,
-        backgrounds_per_view=2,
-        on_progress=lambda done, total: told.append((done, total)),
-    )
-    assert told == [(2, 8), (4, 8), (6, 8), (8, 8)]
-
-
 def test_heat_is_the_mean_over_views():
     bodies, backgrounds = box_bodies(2), noise_backgrounds()
     heat = lambda poses, angles: heatmap(
@@ -54,19 +39,6 @@ def test_heat_is_the_mean_over_views():
     apart = [heat([pose], [angle]) for pose in (0, 1) for angle in (0.0, 20.0)]
     assert not np.allclose(apart[0], apart[3])
     assert np.allclose(both, np.mean(apart, axis=0), atol=1e-7)
-
-
-def test_it_draws_where_the_detector_is(monkeypatch):
-    class Asked(Exception):
-        pass
-
-    def view_cache(_, settings):
-        raise Asked(str(settings.device))
-
-    monkeypatch.setattr(TopRowDetector, "device", torch.device("cuda:1"))
-    monkeypatch.setattr(module, "ViewCache", view_cache)
-    with pytest.raises(Asked, match="cuda:1"):
-        heatmap(box_bodies(1), TopRowDetector(), noise_backgrounds(), [0.0], size=64)
 
 
 def test_bad_input():

@@ -23,13 +23,6 @@ def test_other_schedules():
     assert rates == pytest.approx([1.0, 0.505, 0.01])
 
 
-def test_plain_sgd_is_the_formula_and_projected():
-    optimizer = ColorOptimizer(make_settings("paper").optimization, torch.tensor([[0.5, 0.9, 0.1]]))
-    (optimizer.colors() * torch.tensor([[2.0, -2.0, 2.0]])).sum().backward()
-    optimizer.update(0.1)
-    assert torch.allclose(optimizer.colors(), torch.tensor([[0.3, 1.0, 0.0]]))
-
-
 @pytest.mark.parametrize(
     ("optimizer", "gamut"), list(itertools.product(["sgd", "adam", "momentum"], ["projection", "sigmoid"]))
 )

@@ -153,20 +153,17 @@ def test_somebody_behind_her_lies_in_her_box_and_not_on_her_mask():
     assert only_hers(drawn, BODY, NOBODY, masks=mask).scores.tolist() == [[pytest.approx(0.8)]]
 
 
-def test_a_small_person_drawn_on_the_cloth_counts():
-    assert only_hers(boxes([120, 200, 160, 260, 0.9]), BODY, NOBODY).scores.tolist() == [[pytest.approx(0.9)]]
-
-
-def test_a_box_elsewhere_does_not_count():
-    assert only_hers(boxes([300, 100, 400, 400, 0.9]), BODY, NOBODY).scores.tolist() == [[0.0]]
+@pytest.mark.parametrize(
+    ("box", "alone", "score"),
+    [([120, 200, 160, 260], False, 0.9), ([300, 100, 400, 400], False, 0.0), ([300, 100, 400, 400], True, 0.9)],
+    ids=["small on the cloth", "elsewhere", "elsewhere in a render"],
+)
+def test_boxes_on_her_count_and_on_renders_every_box(box, alone, score):
+    found = only_hers(boxes([*box, 0.9]), BODY, NOBODY, torch.tensor([alone]))
+    assert found.scores.tolist() == [[pytest.approx(score)]]
 
 
 def test_a_neighbours_box_does_not_count():
     others = torch.tensor([[[150.0, 110.0, 250.0, 390.0]]])
     found = only_hers(boxes([152, 110, 250, 390, 0.9], [100, 100, 200, 400, 0.8]), BODY, others)
     assert found.scores.tolist() == [[0.0, pytest.approx(0.8)]]
-
-
-def test_on_renders_every_box_counts():
-    found = only_hers(boxes([300, 100, 400, 400, 0.9]), BODY, NOBODY, torch.tensor([True]))
-    assert found.scores.tolist() == [[pytest.approx(0.9)]]

@@ -17,29 +17,6 @@ def test_a_print_repeats_every_quarter_of_a_metre(name):
         assert (abs(moved - colors) < 1e-3).all(axis=1).mean() > 0.99, "all but places on an edge"
 
 
-def test_ellipses_have_their_size_and_are_lit_from_above():
-    picture = print_picture("ellipses")
-    first = picture[: len(picture) // 2, : len(picture) // 3]
-    rows, columns = np.nonzero(first.any(axis=2))
-    millimetres = 1000 * PRINT_METRES / len(picture)
-    assert abs(np.ptp(rows) + 1 - 100 / millimetres) <= 2 and abs(np.ptp(columns) + 1 - 80 / millimetres) <= 2
-    middle = first[:, first.shape[1] // 2].sum(axis=1)
-    assert middle[rows.min() + 10] > 1.3 * middle[rows.max() - 10]
-
-
-def test_every_second_row_is_moved_by_half_a_cell():
-    for name in ("dots", "checks"):
-        print_ = PRINTS[name]
-        half = np.array([PRINT_METRES / print_.columns / 2, PRINT_METRES / print_.rows])
-        places = np.random.default_rng(1).random((500, 2)) * PRINT_METRES
-        assert (print_.at(places) == print_.at(places + half)).all(axis=1).mean() > 0.98
-
-
-def test_stripes_lie_across():
-    picture = print_picture("stripes")
-    assert (picture == picture[:, :1]).all() and len(np.unique(picture)) == 2
-
-
 def test_a_crowd_is_of_people_the_right_way_up():
     picture = print_picture("crowd").astype(int)
     side = len(picture)

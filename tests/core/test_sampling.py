@@ -95,14 +95,6 @@ def test_shares_make_up_the_batch():
 
 
 @pytest.mark.slow
-def test_equal_draws_give_equal_cameras():
-    of = sampler(steps=50, angles="0")
-    assert len({camera for step in range(50) for camera in cameras(of, step)}) == 1
-    camera = cameras(of, 0)[0]
-    assert (camera.distance, camera.elevation, camera.azimuth, camera.width) == (2.2, 6.0, 0.0, 416)
-
-
-@pytest.mark.slow
 def test_a_continuous_range_is_dealt_evenly_and_used_everywhere():
     of = sampler(steps=360, batch=10, angles="0..360", elevation="-5:20")
     draws = whole_run(of)

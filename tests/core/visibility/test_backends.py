@@ -116,19 +116,6 @@ def test_places_on_a_cloth(samples: int | None) -> None:
     torch.testing.assert_close(ours_worn.row_sums(), ours.map.row_sums(), rtol=0, atol=1e-5)
 
 
-def test_batches_equal_single_views() -> None:
-    body = two_bodies(2)
-    wanted = [(pose, replace(CAMERA, azimuth=float(azimuth))) for pose in (0, 1) for azimuth in (0, 90, 200)]
-    for samples in (1, 16, None):
-        cache = ViewCache(body, RenderSettings(light=SHINY, samples=samples))
-        for key, view in zip(wanted, cache.build(wanted), strict=True):
-            alone = cache.build([key])[0]
-            for name in ("pixels", "coverage", "specular"):
-                assert torch.equal(getattr(view, name), getattr(alone, name)), name
-            for name in ("crow", "column", "weight"):
-                assert torch.equal(getattr(view.map, name), getattr(alone.map, name)), name
-
-
 @pytest.mark.parametrize("extent", [0, 3 * GRID, 600 * GRID, GUARD // 2])
 @pytest.mark.parametrize("grid", [1, 2, 8])
 def test_keys_are_the_same_bits(extent: int, grid: int) -> None:

@@ -60,14 +60,6 @@ def test_loops_equal_operations(seed: int, light: Light, each: bool) -> None:
     assert clamped.any() and float(expected.abs().max()) > 0.1, "clamped pixels and a gradient to speak of"
 
 
-def test_the_gradient_is_the_same_every_time() -> None:
-    views = views_of(0, 3, 4, Light())
-    upstream, colors = torch.randn(3, 3, HEIGHT, WIDTH), torch.rand(len(LOGO), 3)
-    first = painted(views, colors, None, upstream, loops=True)
-    again = painted(views, colors, None, upstream, loops=True)
-    assert torch.equal(first[0], again[0]) and torch.equal(first[1], again[1])
-
-
 @pytest.mark.parametrize("loops", [True, False])
 def test_what_is_not_a_number_is_shown_and_passes_no_gradient(loops: bool) -> None:
     views = views_of(1, 1, 1, Light())

@@ -66,14 +66,6 @@ def test_triangles_too_large_for_float64_are_exact_in_int64(extent: int) -> None
     assert len(np.unique(ids)) > 5
 
 
-def test_large_triangles_with_corners_and_level_edges_on_samples() -> None:
-    rng = np.random.default_rng(4)
-    x, y = rng.integers(-700, 700, (2, 24)) * GRID + HALF
-    x[:8], y[8:16] = 3 * GRID + HALF, 2 * GRID + HALF
-    screen = screen_of(x, y, rng.uniform(0.1, 1, 24), 7, 6)
-    assert_twin(screen, triangles_of(rng.integers(0, 24, (80, 3))), grids=(1, 2))
-
-
 @pytest.mark.parametrize("offset", [0, 1, HALF, HALF + 1, GRID - 1])
 def test_a_lattice_of_triangles_covers_every_sample_once(offset: int) -> None:
     """Vertices on sample points, diagonals through them: no hole, no sample hit twice."""
@@ -121,17 +113,6 @@ def test_equal_depths_go_to_the_lower_id_across_chunks(monkeypatch: pytest.Monke
         assert (rasterize(screen, triangles, 4).triangles() == 0).all()
 
 
-@pytest.mark.slow
-def test_small_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(8)
-    screen = random_screen(rng, 60, 20, 12, GRID)
-    triangles = triangles_of(rng.integers(0, 60, (200, 3)))
-    whole = rasterize(screen, triangles, 4).packed
-    monkeypatch.setattr(torch_sampling, "CHUNK", 64)
-    with torch_alone():
-        assert torch.equal(rasterize(screen, triangles, 4).packed, whole)
-
-
 def test_a_window_is_a_part_of_the_image() -> None:
     rng = np.random.default_rng(9)
     screen = random_screen(rng, 60, 20, 12, GRID)
@@ -140,14 +121,6 @@ def test_a_window_is_a_part_of_the_image() -> None:
     part = rasterize(screen, triangles, 2, window=Window(3, 5, 17, 9)).triangles()
     assert torch.equal(part[:, 5:9, 3:17], whole[:, 5:9, 3:17])
     assert (part[:, :5] == -1).all() and (part[:, :, 17:] == -1).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 9), (13, 1), (5, 11)])
-def test_image_shapes(width: int, height: int) -> None:
-    rng = np.random.default_rng(width * 100 + height)
-    screen = random_screen(rng, 20, width, height, 2 * GRID)
-    assert_twin(screen, triangles_of(rng.integers(0, 20, (30, 3))), grids=(1, 2, 8))
 
 
 def test_empty_meshes() -> None:
