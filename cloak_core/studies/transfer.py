@@ -18,8 +18,19 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Int64
 
+from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import state_hash
-from cloak_core.core.evaluation.controls import STANDARD
+from cloak_core.core.evaluation.controls import LOGO, STANDARD
+from cloak_core.core.evaluation.results import Results
+from cloak_core.core.evaluation.statistics import (
+    by_training,
+    digits,
+    hidden_rate,
+    operating_point,
+    outcome_record,
+    rate_record,
+    share,
+)
 from cloak_core.core.logo import area_share
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import sha256_record
@@ -27,20 +38,20 @@ from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_leftovers, write_json, written
 from cloak_core.studies.pace import in_turn, measured_pace
 from cloak_core.studies.report.charts import group
-from cloak_core.studies.report.plots import transfer_map
+from cloak_core.studies.report.plots import KINSHIPS, transfer_map
 from cloak_core.studies.report.records import publish_rows
 from cloak_core.studies.report.style import save_figure, style
 from cloak_core.studies.report.words import file_name, percent, short_name
-from cloak_core.studies.statistics_card import KINSHIPS, transfer_means, transfer_record
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Trained, training_times
 
 FORMAT = "cloak transfer 1"
+LOW = 0.25
+"""The threshold at which YOLOv5 and later are run."""
 
 
 # --- which detectors are of one family
 
-SAME_FAMILY, CROSS_FAMILY = KINSHIPS
 _FAMILIES = {
     "yolo": "yolo",
     "rtdetr": "detr",
@@ -80,8 +91,9 @@ def families(specs: Iterable[str], overrides: Iterable[str] = ()) -> dict[str, s
 
 
 def kinship(judged: str, surrogates: Iterable[str], family: Mapping[str, str]) -> str:
-    """Tell whether a surrogate is of the judged detector's family: `SAME_FAMILY` or `CROSS_FAMILY`."""
-    return SAME_FAMILY if family[judged] in {family[spec] for spec in surrogates} else CROSS_FAMILY
+    """Tell whether a surrogate is of the judged detector's family, by one of `KINSHIPS`."""
+    sibling, stranger = KINSHIPS
+    return sibling if family[judged] in {family[spec] for spec in surrogates} else stranger
 
 
 # --- ablations: from preset `best` to the recipe, each technique alone, and one upon the other
@@ -261,6 +273,32 @@ class Matrix:
         if seconds <= 0:
             raise Stopped("the time budget is spent; the same command goes on with what is left")
         return self.store.train_faces(self.faces, surrogates, seed=seed, **settings, max_seconds=seconds)
+
+
+# --- its figures
+
+
+def transfer_record(results: Results, judged: str) -> dict:
+    """Count a cell: success at 0.6, at the detector's own threshold and at 0.25, with intervals and controls."""
+    rows, record = results.rows(judged, LOGO), {}
+    point = operating_point(rows)
+    for suffix, threshold in (("", THRESHOLD), ("_own", point), ("_025", LOW)):
+        record |= rate_record(f"success{suffix}", hidden_rate(rows, threshold), 4)
+        record |= {f"{name}{suffix}": digits(share(results.rows(judged, name), threshold)) for name in STANDARD}
+    record |= outcome_record(rows) | {"operating_point": point, "n": len(rows), "images": len(results.trials)}
+    return record | {"by_seed": [digits(value) for value in by_training(rows)]}
+
+
+def transfer_means(cells: pd.DataFrame) -> dict:
+    """Average the cells of one matrix: mean and worst success at each threshold, and the mean by kinship."""
+    record = {}
+    for suffix in ("", "_own", "_025"):
+        values = cells[f"success{suffix}"].astype(float)
+        record |= {f"mean{suffix}": digits(values.mean()), f"worst{suffix}": digits(values.min())}
+    return record | {f"mean_{kin}": digits(cells.loc[cells["kin"] == kin, "success"].mean()) for kin in KINSHIPS}
+
+
+# --- its files
 
 
 def cell_file(out: Path, ablation: str, judged: str) -> Path:

@@ -1,5 +1,6 @@
 """What a card lets people wear beside trained cloaks: published patterns, on renders and in photographs."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,10 @@ from cloak_core.core.logo import Cover
 from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.cloth import ClothPattern
-from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.people import People, Person, load_people
+from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.card.assess import Assessment
-from cloak_core.studies.card.figures import photograph_figures
 from cloak_core.studies.opening import open_pattern
-from cloak_core.studies.statistics_card import attack_record
 from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
 from tests.sources.photographs.made_people import write_people
 from tests.studies.made_cards import TINY, Glow, make_store
@@ -36,41 +34,21 @@ def test_a_picture_repeats_as_cloth() -> None:
 
 
 @pytest.mark.slow
-def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(tmp_path: Path) -> None:
-    Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
-    specs = tuple(f"{tmp_path}/white.png@{form}" for form in ("tile=0.5", "patch=0.3", "tile=0.2"))
-    people = load_people(str(write_people(tmp_path / "people")))
-    one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people, specs)
-    assert one.left == ["white@tile=0.2"], "the size has two"
-    cloth, patch = one.opened
-    assert one._pattern(*cloth) == {"name": "white@tile=0.5"}
-    assert one._pattern(*patch) is None, "a patch is worn in photographs alone"
-    row = attack_record(one.rows["pattern white@tile=0.5"][0], "glow")
+def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(worn: Path) -> None:
+    card = json.loads((worn / "glow/card.json").read_text())
+    assert card["left_patterns"] == ["white@tile=0.2"], "the size has two"
+    (row,) = card["patterns"]
+    assert row["name"] == "white@tile=0.5", "a patch is worn in photographs alone"
     assert row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
-    faces = one._areas[-1]
-    one.shown["area 76%"] = (
-        one.store.untrained(FacePattern(one._cover(faces), colors=np.zeros((len(faces), 3), np.float32))),
-        (0.0,),
-        {},
-    )
-    entry = {"name": "builtin-sample", "trained_against_it": False}
-    one.rows["zoo builtin-sample"] = one.rows["pattern white@tile=0.5"]
-    told = {"black_box": {"zoo": [entry]}}
-    assert one._photographs(told) == {"left_out": people.left_out}
-    card = {"spec": "glow", "white_box": [{"state": "at least"}]}
-    card["black_box"] = {"zoo": [entry | {"success": 0.0, "success_own": 0.0}]}
-    shown = photograph_figures(card, one.rows["people"][0])
-    worn = ["made against it", "zoo:builtin-sample", "white@tile=0.5", "white@patch=0.3"]
-    assert list(shown["rows"])[:4] == worn and shown["people"] == len(people)
-    assert [shown["rows"][name]["state"] for name in worn] == ["at least", "measured", "measured", "measured"]
-    assert shown["rows"]["clothing"]["success_05"] is not None and shown["rows"]["clothing"]["masr"] is not None
-    one.store.split.detectors["glow"].forward = lambda _: pytest.fail("looked again")
-    one._photographs(told)
-    assert photograph_figures(card, one.rows["people"][0]) == shown, "what is finished is kept"
+    rows = card["photographs"]["rows"]
+    shown = ["made against it", "zoo:builtin-sample", "white@tile=0.5", "white@patch=0.3"]
+    assert list(rows)[:4] == shown and card["photographs"]["people"] == 2
+    assert [rows[name]["state"] for name in shown] == ["at least", "measured", "measured", "measured"]
+    assert rows["clothing"]["success_05"] is not None and rows["clothing"]["masr"] is not None
 
 
 def test_a_size_takes_the_first_people_of_a_file(tmp_path: Path) -> None:
-    people = People((object.__new__(Person),) * 30, {})
+    people = load_people(str(write_people(tmp_path / "people", 4)))
     one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people)
     assert len(one.people) == TINY.people == 3
     assert one.costs(4.0)["people"] == (0.0, 4 * 3 * (3 + 3))

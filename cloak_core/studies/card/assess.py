@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int64
 
 from cloak_core import __version__
 from cloak_core.core.evaluation.results import Results
@@ -25,16 +24,20 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.source import fit_wearers
-from cloak_core.studies.card import protocol
 from cloak_core.studies.card.expected import expected_card
-from cloak_core.studies.card.figures import VERSIONS, card_of, detector_facts, others_strongest
+from cloak_core.studies.card.figures import VERSIONS, attack_record, card_of, detector_facts, others_strongest
 from cloak_core.studies.card.page import keep_pictures
-from cloak_core.studies.card.parts import (
+from cloak_core.studies.card.protocol import (
+    AGAINST,
     BESIDE,
+    CIRCLE,
+    FRONT,
+    ROWS,
+    VERSION,
     Part,
-    drop_other_rows,
+    Size,
     keep_rows,
-    make_part,
+    nested_areas,
     part_of_area,
     parts_of,
 )
@@ -43,7 +46,6 @@ from cloak_core.studies.data_split import people_record
 from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import CLOTHES, clothes_cover, open_pattern, run_pattern
 from cloak_core.studies.pace import Pace, measured_pace
-from cloak_core.studies.statistics_card import attack_record
 from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.studies.training_store import Trained
@@ -59,7 +61,7 @@ class Assessment:
     """One detector (the store's only one) under the protocol, into OUT/NAME; the store's folder is shared."""
 
     store: RunStore
-    size: protocol.Size
+    size: Size
     folder: Path
     """Takes card.json, the rows behind it and what is shown beside it."""
     zoo: Sequence[str] | None = None
@@ -71,217 +73,187 @@ class Assessment:
     """Pictures to be worn, as `open_pattern` takes them: FILE.png@tile=METRES, FILE.png@patch=METRES."""
     logo: str | None = None
     """What patterns cover, but for those on the chest: regions; None: shirt and trousers."""
-    shown: dict[str, tuple[Trained, tuple[float, ...], dict]] = field(default_factory=dict, init=False)
-    """What pictures may be taken of, by part: a cloak, its test azimuths and evaluation settings."""
-    rows: dict[str, list[Results]] = field(default_factory=dict, init=False)
-    """By part, a table for each repetition."""
 
     def __post_init__(self) -> None:
         (self.spec,) = self.store.specs
         self.split = self.store.split
         self.detector = self.split.detectors[self.spec]
-        self.white_box = self.detector.differentiable
+        self.areas = nested_areas(self.split.bodies, self.size.areas)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.entries = self._entries()
         if self.people is not None:
             self.people = replace(self.people, people=self.people.people[: self.size.people])
         cover, over = clothes_cover(self.logo), f" on {self.logo}" if self.logo else ""
-        self.opened = [(name + over, pattern.on(cover)) for pattern, _, name in map(open_pattern, self.patterns)]
-        names = [name for name, _ in self.opened]
+        opened = [(name + over, pattern.on(cover)) for pattern, _, name in map(open_pattern, self.patterns)]
+        names = [name for name, _ in opened]
         if len(set(names)) < len(names):
             raise InputError(f"--patterns: {max(names, key=names.count)} is given twice")
         self.patterns = self.patterns[: self.size.patterns]
-        self.opened, self.left = self.opened[: self.size.patterns], names[self.size.patterns :]
+        self.opened = dict(opened[: self.size.patterns])
+        self.left_patterns = names[self.size.patterns :]
 
-    def run(self) -> dict:
-        """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
-        work = Work(self.costs(), self._spent, self._asked(), self.on_work, self.size.seeds)
-        self.store.on_event, self.store.on_images = work.on_event, work.on_images
-        told = self._head() | {"white_box": [], "black_box": {"zoo": []}, "patterns": [], "photographs": None}
-        with work.part("clean"):
-            self._clean()
-        for area, faces in zip(self.size.areas, self._areas, strict=True) if self.white_box else ():
-            with work.part(part_of_area(area)):
-                told["white_box"].append(self._area(area, faces))
-        if self.white_box and self.size.circle:
-            with work.part("circle"):
-                self._measure("circle", self._trained(self._areas[-1], protocol.CIRCLE, 2 * self.size.steps))
-        with work.part("zoo"):
-            told["black_box"]["zoo"] += map(self._entry, self.entries)
-        if self.patterns:
-            with work.part("patterns"):
-                rows = (self._pattern(*one) for one in self.opened)
-                told["patterns"] += [row for row in rows if row]
-        if self.people is not None:
-            with work.part("people"):
-                told["photographs"] = self._photographs(told)
-        told["seconds"] = work.seconds
-        drop_other_rows(self.folder, parts_of(told, self.size))
-        card = card_of(told, self.size, self.rows)
-        pictures = keep_pictures(self.folder / "pictures", self.store, self.shown, card)
-        remove_all_leftovers(self.folder)
-        write_json(self.folder / "pictures.json", pictures)
-        write_json(self.folder / "card.json", card)
-        return card
+    def _entries(self) -> dict[str, tuple[Path, dict]]:
+        """Find the zoo's cloaks that this scene can wear: run folder and its record, by name."""
+        found = {}
+        for name in shelved() if self.zoo is None else self.zoo:
+            path = run_path(name if name.startswith(MARK) else MARK + name)
+            config = read_run(path)
+            if config.get("topology") == self.split.bodies.topology:
+                found[name.removeprefix(MARK)] = path, config
+            elif self.zoo is not None:
+                raise InputError(f"{name}: made for another topology than scene '{self.split.bodies.name}'")
+        return found
 
-    def expected(self) -> dict:
-        """Make up the card of this call: see `expected_card`."""
-        unseen = {"bodies": None, "backgrounds": None}
-        zoo = [
-            {"name": entry["name"], "trained_against_it": False, "unseen": unseen, "area": 0} for entry in self.entries
-        ]
-        told = {
-            **self._head(),
-            "white_box": [{"area": area, "faces": 0} for area in self.size.areas] if self.white_box else [],
-            "black_box": {"zoo": zoo},
-            "patterns": [{"name": name} for name, pattern in self.opened if pattern.period],
+    @cached_property
+    def told(self) -> dict:
+        """What the card says itself (`schema.CARD`), but for who is left out of people, and the seconds."""
+        options, bodies = self.store.options, self.split.bodies
+        facts = detector_facts(self.detector)
+        made = {"cloak": __version__, "command": one_line(options.command), "seed": options.seed}
+        white_box = [{"area": round(area_share(bodies, faces), 4), "faces": len(faces)} for faces in self.areas]
+        return {
+            "spec": self.spec,
+            "size": self.size.name,
+            **facts,
+            "cover": self.logo or CLOTHES,
+            "made": made | environment(),
+            "materials": self.split.record() | ({"shown_people": people_record(self.people)} if self.people else {}),
+            "left_patterns": self.left_patterns,
+            "white_box": white_box if facts["differentiable"] else [],
+            "black_box": {"zoo": [self._entry(name) for name in self.entries]},
+            # A patch is worn in photographs alone.
+            "patterns": [{"name": name} for name, pattern in self.opened.items() if pattern.period],
             "photographs": None if self.people is None else {"left_out": {}},
             "seconds": 0.0,
         }
-        return expected_card(told, self.size, [name for name, _ in self.opened])
+
+    def _entry(self, name: str) -> dict:
+        """Tell of a cloak of the zoo; one that was trained against this very detector does not count."""
+        path, config = self.entries[name]
+        unseen, _ = seen_in_training(config, self.split.unseen, self.split.unseen_backgrounds)
+        logo = load_logo(self.split.unseen, path / "logo.npy")
+        return {
+            "name": name,
+            "trained_against_it": trained_against(config, self.split.detectors)[self.spec],
+            "unseen": unseen,
+            "area": round(area_share(self.split.unseen, logo.face_ids), 4),
+        }
+
+    @cached_property
+    def parts(self) -> list[Part]:
+        """What there is to measure, in order."""
+        return parts_of(self.told, self.size)
+
+    # --- how long it takes
+
+    def costs(self, worn: float = 1.0) -> dict[str, tuple[float, float]]:
+        """By part, images to train on and to look at; worn: what a picture of somebody dressed counts."""
+        batch, costs = self.store.train_settings().run.batch, {}
+        for part in self.parts:
+            views = self.split.unseen.pose_count * len(part.angles) * self.size.images_per_view * part.repetitions
+            trained, looked = float(TRAINED * batch * part.steps * part.repetitions), float(views * (len(BESIDE) + 1))
+            if part.name == "clean":
+                looked = 6.0 * self.size.clean_images + self.size.bare
+            elif part.name == "people":
+                looked = worn * len(self.people) * (len(PEOPLE_CONTROLS) + 2 + len(self.patterns))
+            elif part.name == "circle":
+                looked += trained / TRAINED  # all around, an image that is trained on is a new view, too
+            costs[part.name] = trained, looked
+        return costs
+
+    def work(self, worn: float = 1.0) -> Work:
+        """Count what is done; what an earlier call for the same has done counts, too."""
+        asked = {"size": asdict(self.size), "seed": self.store.options.seed, "protocol": VERSION}
+        asked |= {"people": self.people and people_record(self.people), "patterns": list(self.patterns)}
+        asked |= {"cover": self.logo} if self.logo else {}
+        key = sha256_record(asked | VERSIONS | {"split": self.split.record()})
+        return Work(self.costs(worn), self.folder / "spent.json", key, self.on_work, self.size.seeds)
 
     def seconds_left(self, pace: Pace | None = None) -> tuple[float, Pace]:
         """Estimate the time of what is not done yet, and the detector's pace. pace: where it is known."""
         # Cards train on one thread.
         pace = pace or measured_pace(self.detector, self.store.options.size, gradient_threads=1)
-        costs = self.costs(self._dressing(pace) if self.people is not None else 1.0)
-        return Work(costs, self._spent, self._asked()).seconds_left(pace), pace
-
-    @property
-    def _spent(self) -> Path:
-        return self.folder / "spent.json"
+        return self.work(1.0 if self.people is None else self._dressing(pace)).seconds_left(pace), pace
 
     def _dressing(self, pace: Pace) -> float:
         """Clock two people in photographs, fitted and dressed: a picture's cost, in images that are looked at."""
         few = replace(self.people, people=self.people.people[:CLOCKED_PEOPLE])
         started = time.monotonic()
         images = people_images(fit_people(few), self.split.unseen_backgrounds, WearSettings())
-        every, worn = range(len(images.trials)), controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover()))
-        for _ in images.compose(every, list(worn.values())):
+        worn = controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover()))
+        for _ in images.compose(range(len(images.trials)), list(worn.values())):
             pass
         return 1 + (time.monotonic() - started) / (max(1, len(few) * len(worn)) * max(pace.forward, 1e-6))
 
-    # --- what there is to do
+    # --- the card
 
-    @cached_property
-    def _areas(self) -> list[Int64[np.ndarray, " L"]]:
-        return protocol.nested_areas(self.split.bodies, self.size.areas)
+    def expected(self) -> dict:
+        """Make up the card of this call before anything is measured: see `expected_card`."""
+        return expected_card(self.told, self.size, list(self.opened))
 
-    def _entries(self) -> list[dict]:
-        """The zoo's cloaks that this scene can wear, by name, with their run folders and records."""
-        found = []
-        for name in shelved() if self.zoo is None else self.zoo:
-            path = run_path(name if name.startswith(MARK) else MARK + name)
-            config = read_run(path)
-            if config.get("topology") == self.split.bodies.topology:
-                found.append({"name": name.removeprefix(MARK), "path": path, "config": config})
-            elif self.zoo is not None:
-                raise InputError(f"{name}: made for another topology than scene '{self.split.bodies.name}'")
-        return found
+    def run(self) -> dict:
+        """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
+        work, told = self.work(), dict(self.told)
+        self.store.on_event, self.store.on_images = work.on_event, work.on_images
+        rows: dict[str, list[Results]] = {}
+        trained: dict[str, Trained] = {}
+        for part in self.parts:
+            with work.part(part.name):
+                if part.name == "people":
+                    cloak = trained.get(part_of_area(self.size.areas[-1]))
+                    worn = self._worn_by_people(cloak, rows)
+                    rows["people"] = [self.store.measure_people(worn, self.people, WearSettings(bare=0), self.logo)]
+                    told["photographs"] = {"left_out": fit_wearers(self.people, worn.values())[0].left_out}
+                else:
+                    repetitions = self._train(part) if part.steps else [self._untrained(part)]
+                    trained[part.name] = repetitions[0]
+                    rows[part.name] = [
+                        self.store.measure_repetitions([one], part.angles, **part.settings) for one in repetitions
+                    ]
+                keep_rows(self.folder, part, rows[part.name])
+        told["seconds"] = work.seconds
+        # Rows of an earlier card of another size, or with people.
+        kept = {name for part in self.parts for name in part.files}
+        for path in (self.folder / ROWS).glob("*.npz"):
+            if path.name not in kept:
+                path.unlink()
+        card = card_of(told, self.size, rows)
+        seen = [(part, trained[part.name].pattern, rows[part.name][0]) for part in self.parts if part.name in trained]
+        pictures = keep_pictures(self.folder / "pictures", self.store, seen, card)
+        remove_all_leftovers(self.folder)
+        write_json(self.folder / "pictures.json", pictures)
+        write_json(self.folder / "card.json", card)
+        return card
 
-    def costs(self, worn: float = 1.0) -> dict[str, tuple[float, float]]:
-        """By part, images to train on and to look at; worn: what a picture of somebody dressed counts."""
-        size, poses = self.size, self.split.unseen.pose_count
-        batch, places = self.store.train_settings().run.batch, poses * size.images_per_view * size.seeds
-        looks = (len(BESIDE) + 1) * places
-        steps = TRAINED * batch * size.steps * size.seeds
-        costs = {"clean": (0.0, 6.0 * size.clean_images + size.bare)}
-        if self.white_box:
-            costs |= {part_of_area(area): (steps, looks * len(size.front_angles)) for area in size.areas}
-        if self.white_box and size.circle:
-            # All around, an image that is trained on is a new view, as one that is looked at.
-            costs["circle"] = 2 * steps, looks * len(size.circle_angles) + 2 * steps / TRAINED
-        front = looks / size.seeds * len(size.front_angles)
-        costs["zoo"] = 0.0, front * len(self.entries)
-        if self.patterns:
-            costs["patterns"] = 0.0, front * len(self.patterns)
-        if self.people is not None:
-            costs["people"] = 0.0, worn * len(self.people) * (len(PEOPLE_CONTROLS) + 2 + len(self.patterns))
-        return costs
+    def _train(self, part: Part) -> list[Trained]:
+        """Train a part's cloak on one thread, once for each seed.
 
-    def _asked(self) -> str:
-        asked = {"size": asdict(self.size), "seed": self.store.options.seed, "protocol": protocol.VERSION}
-        asked |= {"people": self.people and people_record(self.people), "patterns": list(self.patterns)}
-        asked |= {"cover": self.logo} if self.logo else {}
-        return sha256_record(asked | VERSIONS | {"split": self.split.record()})
-
-    def _head(self) -> dict:
-        options = self.store.options
-        made = {"cloak": __version__, "command": one_line(options.command), "seed": options.seed}
-        materials = self.split.record() | ({"shown_people": people_record(self.people)} if self.people else {})
-        return {
-            "size": self.size.name,
-            "spec": self.spec,
-            **detector_facts(self.detector),
-            "cover": self.logo or CLOTHES,
-            "made": made | environment(),
-            "materials": materials,
-            "left_patterns": self.left,
-        }
-
-    # --- the parts
-
-    def _clean(self) -> None:
-        """Measure own clothing and untrained patterns from everywhere, and bare scenes."""
-        faces = self._areas[-1]
-        noise = np.random.default_rng([self.store.options.seed, 0xB1]).integers(0, 2, (len(faces), 1))
-        colors = np.repeat(noise, 3, 1).astype(np.float32)
-        self._measure("clean", [self.store.untrained(FacePattern(self._cover(faces), colors=colors))])
-
-    def _area(self, area: float, faces: Int64[np.ndarray, " L"]) -> dict:
-        """Train a cloak of this area against the detector and judge it from the front."""
-        self._measure(part_of_area(area), self._trained(faces, protocol.FRONT, self.size.steps))
-        return {"area": round(area_share(self.split.bodies, faces), 4), "faces": len(faces)}
-
-    def _photographs(self, told: dict) -> dict:
-        """Dress people in photographs in the largest cloak, made on renders, the zoo's strongest, and the patterns."""
-        worn = {}
-        if self.white_box:
-            worn[protocol.AGAINST] = self.shown[part_of_area(self.size.areas[-1])][0].pattern
-        zoo = told["black_box"]["zoo"]
-        zoo = [row | attack_record(self.rows[f"zoo {row['name']}"][0], self.spec) for row in zoo]
-        if strange := others_strongest(zoo):
-            worn[MARK + strange["name"]] = open_pattern(MARK + strange["name"])[0]
-        worn |= dict(self.opened)
-        self._keep(Part("people"), [self.store.measure_people(worn, self.people, WearSettings(bare=0), self.logo)])
-        return {"left_out": fit_wearers(self.people, worn.values())[0].left_out}
-
-    def _pattern(self, name: str, pattern: Pattern) -> dict | None:
-        """Show it a published pattern as cloth for shirt and trousers, or `logo`, from the front; None of a patch."""
-        if not pattern.period:
-            return None
-        bodies = self.split.unseen
-        cover = load_logo(bodies, self.logo) if self.logo else self._cover(self._areas[-1])
-        worn = replace(pattern, cover=cover, bodies=bodies)
-        self._measure(f"pattern {name}", [self.store.untrained(worn, Path(name))])
-        return {"name": name}
-
-    def _cover(self, faces: Int64[np.ndarray, " L"]) -> Cover:
-        return Cover(faces, self.split.unseen.topology)
-
-    def _entry(self, entry: dict) -> dict:
-        """Show it a cloak of the zoo; one trained against this very detector says so, and does not count."""
-        split = self.split
-        logo = load_logo(split.unseen, entry["path"] / "logo.npy")
-        worn = self.store.untrained(run_pattern(entry["path"], logo, split.unseen), entry["path"])
-        unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
-        white = trained_against(entry["config"], split.detectors)[self.spec]
-        self._measure(f"zoo {entry['name']}", [worn])
-        label = {"name": entry["name"], "trained_against_it": white, "unseen": unseen}
-        return label | {"area": round(area_share(split.unseen, logo.face_ids), 4)}
-
-    def _trained(self, faces: Int64[np.ndarray, " L"], angles: str, steps: int) -> list[Trained]:
-        """Train on one thread: another number sums in another order, and hundreds of updates make that a figure."""
+        Another number of threads sums in another order, and hundreds of updates make that a figure.
+        """
+        faces = self.areas[-1] if part.area is None else self.areas[self.size.areas.index(part.area)]
+        angles = FRONT if part.area is not None else CIRCLE
         with torch_threads(1):
-            return self.store.train_repetitions(faces, [self.spec], angles=angles, steps=steps)
+            return self.store.train_repetitions(faces, [self.spec], angles=angles, steps=part.steps)
 
-    def _measure(self, name: str, trained: Sequence[Trained]) -> None:
-        """Judge repetitions of a cloak for the part of this name."""
-        part = make_part(name, self.size, self.store.options.seed, self.split.unseen.pose_count)
-        self.shown[name] = (trained[0], part.angles, part.settings)
-        self._keep(part, [self.store.measure_repetitions([one], part.angles, **part.settings) for one in trained])
+    def _untrained(self, part: Part) -> Trained:
+        """Take what a part shows that nobody trains here: noise, a cloak of the zoo, or a published pattern."""
+        kind, _, name = part.name.partition(" ")
+        bodies = self.split.unseen
+        largest = Cover(self.areas[-1], bodies.topology)
+        if kind == "zoo":
+            path, _ = self.entries[name]
+            return self.store.untrained(run_pattern(path, load_logo(bodies, path / "logo.npy"), bodies), path)
+        if kind == "pattern":
+            cover = load_logo(bodies, self.logo) if self.logo else largest
+            return self.store.untrained(replace(self.opened[name], cover=cover, bodies=bodies), Path(name))
+        noise = np.random.default_rng([self.store.options.seed, 0xB1]).integers(0, 2, (len(largest), 1))
+        return self.store.untrained(FacePattern(largest, colors=np.repeat(noise, 3, 1).astype(np.float32)))
 
-    def _keep(self, part: Part, rows: list[Results]) -> None:
-        """Keep a part's rows beside the card."""
-        keep_rows(self.folder, part, rows)
-        self.rows[part.name] = rows
+    def _worn_by_people(self, largest: Trained | None, rows: dict[str, list[Results]]) -> dict[str, Pattern]:
+        """List what people in photographs wear: the largest cloak, made on renders, the zoo's strongest, patterns."""
+        worn = {} if largest is None else {AGAINST: largest.pattern}
+        zoo = self.told["black_box"]["zoo"]
+        strange = others_strongest([row | attack_record(rows[f"zoo {row['name']}"][0], self.spec) for row in zoo])
+        if strange:
+            worn[MARK + strange["name"]] = open_pattern(MARK + strange["name"])[0]
+        return worn | self.opened

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from markupsafe import Markup
@@ -35,41 +35,35 @@ def check_together(cards: Mapping[Path, dict], detectors: Mapping[str, Detector]
     """
     known: dict[tuple[str, str], tuple[object, object]] = {}
     for spec, detector in (detectors or {}).items():
-        for place, value in _of_detector(spec, detector_facts(detector), sha256_record(detector_record(detector))):
-            known[place, spec] = value, "the detector at hand"
+        facts = _of_detector(spec, detector_facts(detector), sha256_record(detector_record(detector)))
+        known |= {place: (value, "the detector at hand") for place, value in facts.items()}
     for folder, card in cards.items():
         path = folder / "card.json"
-        for place, whose, value in _common(card):
-            before, where = known.setdefault((place, whose), (value, path))
+        for place, value in _common(card).items():
+            before, where = known.setdefault(place, (value, path))
             if value != before:
-                raise InputError(f"{path}: {place} differs from that of {where}: they do not compare")
+                raise InputError(f"{path}: {place[0]} differs from that of {where}: they do not compare")
 
 
-def _common(card: dict) -> Iterator[tuple[str, str, object]]:
-    """List what a card has in common with others: the place, of which spec or size if not of all, and the value."""
+def _common(card: dict) -> dict[tuple[str, str], object]:
+    """List what a card has in common with others, by place, and of which spec or size if not of all."""
     materials, spec, size = card["materials"], card["spec"], card["size"]
-    yield "cover", "", card.get("cover") or CLOTHES
+    common = {("cover", ""): card.get("cover") or CLOTHES}
     for name in SHARED:
-        for key, value in materials[name].items():
-            if key != "name":
-                yield f"materials.{name}.{key}", "", value
-    for place, value in _of_detector(spec, card, materials["detectors"][spec]):
-        yield place, spec, value
+        common |= {(f"materials.{name}.{key}", ""): value for key, value in materials[name].items() if key != "name"}
+    common |= _of_detector(spec, card, materials["detectors"][spec])
     for asked, row in zip(SIZES[size].areas, card["white_box"], strict=False):
-        for key in ("area", "faces"):
-            yield f"white_box.{100 * asked:g}.{key}", "", row[key]
+        common |= {(f"white_box.{100 * asked:g}.{key}", ""): row[key] for key in ("area", "faces")}
     for row in card["black_box"]["zoo"]:
-        for key in ("area", "unseen"):
-            yield f"black_box.zoo.{row['name']}.{key}", "", row[key]
+        common |= {(f"black_box.zoo.{row['name']}.{key}", ""): row[key] for key in ("area", "unseen")}
     if card.get("photographs") is not None:
-        yield "materials.shown_people", size, materials.get("shown_people")
-        yield "photographs.left_out", size, card["photographs"]["left_out"]
+        common["materials.shown_people", size] = materials.get("shown_people")
+        common["photographs.left_out", size] = card["photographs"]["left_out"]
+    return common
 
 
-def _of_detector(spec: str, facts: Mapping, digest: str) -> Iterator[tuple[str, object]]:
-    yield f"materials.detectors.{spec}", digest
-    for key in DETECTOR:
-        yield key, facts[key]
+def _of_detector(spec: str, facts: Mapping, digest: str) -> dict[tuple[str, str], object]:
+    return {(f"materials.detectors.{spec}", spec): digest} | {(key, spec): facts[key] for key in DETECTOR}
 
 
 def cards_in(folder: Path) -> list[Path]:
@@ -92,20 +86,17 @@ def add_cards(sources: Sequence[Path], board: Path, detectors: Mapping[str, Dete
     check_together(there | {folder: entry.card for folder, entry in entries.items()}, detectors)
     joined: dict[tuple[str, str], Path] = {}
     for entry in entries.values():
-        if _key(entry.card) in joined:
-            raise InputError(f"leaderboard add: two cards are of {entry.card['spec']}, size {entry.card['size']}")
-        joined[_key(entry.card)] = board / entry.name
+        spec, size = entry.card["spec"], entry.card["size"]
+        if (spec, size) in joined:
+            raise InputError(f"leaderboard add: two cards are of {spec}, size {size}")
+        joined[spec, size] = board / entry.name
     for entry in entries.values():
         write_entry(entry, board)
     for folder, card in there.items():
-        if folder != joined.get(_key(card), folder):
+        if folder != joined.get((card["spec"], card["size"]), folder):
             with written(folder):
                 remove_card(folder)
     return list(joined.values())
-
-
-def _key(card: dict) -> tuple[str, str]:
-    return card["spec"], card["size"]
 
 
 def build_board(folder: Path) -> tuple[list[Path], list[dict]]:
@@ -116,25 +107,24 @@ def build_board(folder: Path) -> tuple[list[Path], list[dict]]:
     folders = cards_in(folder)
     if not folders:
         raise InputError(f"{folder}: holds no card (NAME/card.json)")
-    cards = {one: read_entry(one).card for one in folders}
+    cards = {path: read_entry(path).card for path in folders}
     check_together(cards)
     called = short_names(card["spec"] for card in cards.values())
     links = {}
-    for one, card in cards.items():
-        write_card(one)
+    for path, card in cards.items():
+        write_card(path)
         card["label"] = called[card["spec"]]
-        links[id(card)] = f"{one.name}/{CARD}"
+        links[id(card)] = f"{path.name}/{CARD}"
     ordered = ranked(cards.values())
-    write_leaderboard({one.name: card for one, card in cards.items()}, folder / "leaderboard.md")
+    write_leaderboard({path.name: card for path, card in cards.items()}, folder / "leaderboard.md")
     heads, rows = leaderboard_table(ordered)
     script = read_text(page.TEMPLATES / "board.js", MAX_TEXT_BYTES)  # our own file
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     values = {
         "title": "Leaderboard",
         "heads": heads,
         "rows": [(links[id(card)], row) for card, row in zip(ordered, rows, strict=True)],
         "sizes": [name for name in SIZES if any(card["size"] == name for card in ordered)],
         "script": Markup(script),
-        "script_digest": digest,
+        "script_digest": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     }
     return [page.write_page(folder / "index.html", "board.html", values), folder / "leaderboard.md"], ordered

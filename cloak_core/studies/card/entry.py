@@ -7,23 +7,29 @@ from __future__ import annotations
 
 import fnmatch
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 from PIL import Image
 
-from cloak_core.core.evaluation.results import Results, pool
+from cloak_core.core.evaluate import bare_backgrounds
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.results import NOBODY, TRUE_BOX, Results, pool, read_results
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.evaluation.trials import COLUMNS, draw_trials
 from cloak_core.core.pictures import open_picture, save_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.files.reading import MAX_JSON_BYTES, read_json
 from cloak_core.files.writing import new_folder, write_json
+from cloak_core.sources.photographs.fits import UNCOVERED, UNFIT
 from cloak_core.studies.card.figures import card_of, differences, fixed
 from cloak_core.studies.card.leaderboard import read_card
 from cloak_core.studies.card.page import FLAT, PAGES, SIDES, place_of
-from cloak_core.studies.card.parts import ROWS, keep_rows, parts_of, read_rows
-from cloak_core.studies.card.protocol import SIZES, Size
+from cloak_core.studies.card.protocol import AGAINST, ROWS, SIZES, UNTRAINED, Part, Size, keep_rows, parts_of
 from cloak_core.studies.card.schema import CARD, PICTURES, take
 from cloak_core.studies.report.page import MAX_PICTURE
 from cloak_core.studies.report.pictures import describe
@@ -58,9 +64,9 @@ class Entry:
 
 def read_told(folder: Path) -> tuple[dict, dict, Size]:
     """Read what a card says, what of it only itself can say (`schema.CARD`), and its size. InputError: see there."""
-    path = plain(folder, "card.json", most=MAX_JSON_BYTES)
+    path = _plain(folder, "card.json", most=MAX_JSON_BYTES)
     said = read_card(path)
-    told = take(CARD, said, f"{path}: ")
+    told = take(CARD, said, str(path))
     if told["size"] not in SIZES:
         raise InputError(f"{path}: size is {told['size']!r}, none of {', '.join(SIZES)}")
     if list(told["materials"]["detectors"]) != [told["spec"]]:
@@ -77,14 +83,14 @@ def read_entry(folder: Path) -> Entry:
     """
     said, told, size = read_told(folder)
     path, parts = folder / "card.json", parts_of(told, size)
-    for name in sorted(name for part in parts for name in part.files):
-        plain(folder, ROWS, name, most=MAX_ROWS)
-    files = [name for part in parts for name in part.files]
+    files = {name for part in parts for name in part.files}
+    for name in sorted(files):
+        _plain(folder, ROWS, name, most=MAX_ROWS)
     for other in sorted((folder / ROWS).glob("*.npz")):
         if other.name not in files:
             raise InputError(f"{other}: of no part of the card")
     try:
-        rows = read_rows(folder, told, size)
+        rows = {part.name: [_read_rows(folder, name, part, told, size) for name in part.files] for part in parts}
         card = card_of(told, size, rows)
         _hold(path, card, said)
         pictures, images = _read_pictures(folder, rows, size)
@@ -101,7 +107,7 @@ def _hold(path: Path, fresh: dict, said: dict) -> None:
         raise InputError(f"{path}: {wrong}")
 
 
-def plain(folder: Path, *names: str, most: int) -> Path:
+def _plain(folder: Path, *names: str, most: int) -> Path:
     """Name a file in a folder that is no link, in no linked folder, and not longer than `most` bytes (InputError)."""
     path = folder
     for name in names:
@@ -113,16 +119,68 @@ def plain(folder: Path, *names: str, most: int) -> Path:
     return path
 
 
+def _read_rows(folder: Path, name: str, part: Part, told: Mapping, size: Size) -> Results:
+    """Read one repetition's rows, which have to be of the protocol's images and of this card's detector."""
+    path = folder / ROWS / name
+    results = read_results(path)
+    images, count = results.images, len(results.background_names)
+    asked = _asked_of_people(told, results, size) if part.name == "people" else _asked_of_part(part, told, results)
+    columns = (*COLUMNS, *TRUE_BOX, *(("photograph", "seen_from") if part.name == "people" else ()))
+    asked |= {
+        "columns": (set(results.trials), set(columns)),
+        "detector": (results.detectors, (told["spec"],)),
+        "operating point": (set(images["operating_point"]), {told["operating_point"]}),
+        "number of backgrounds": (count, told["materials"]["unseen_backgrounds"]["count"]),
+        "scores from 0 to 1": (bool(images["score"].between(0, 1).all()), True),
+    }
+    for what, (found, expected) in asked.items():
+        if found != expected:
+            raise InputError(f"{path}: {what}: {found!r:.60}; this card and its size ask for {expected!r:.60}")
+    return results
+
+
+def _asked_of_part(part: Part, told: Mapping, results: Results) -> dict[str, tuple[object, object]]:
+    """Compare the rows of rendered bodies, what there is and what is asked for: the same images in the same order."""
+
+    def numbers(trials: pd.DataFrame) -> list:
+        return np.nan_to_num(trials[list(COLUMNS)].to_numpy(np.float64), nan=-1).tolist()
+
+    unseen, settings = told["materials"]["unseen"], EvaluateSettings(**part.settings)
+    count, images = len(results.background_names), results.images
+    trials = draw_trials(len(unseen["poses"]), part.angles, count, unseen["outfits"], settings)
+    bare = images.loc[(images["control"] == NOBODY).to_numpy(), "background"]
+    return {
+        "bodies": (list(results.body_names), unseen["poses"]),
+        "controls": (results.controls, (LOGO, *dict.fromkeys((CLOTHING, *settings.controls)))),
+        "images": (numbers(results.trials), numbers(trials)),
+        "bare scenes": (bare.tolist(), bare_backgrounds(count, settings).tolist()),
+    }
+
+
+def _asked_of_people(told: Mapping, results: Results, size: Size) -> dict[str, tuple[object, object]]:
+    """Compare the rows of people in photographs: each of them once, in the cloaks and patterns of the card."""
+    people, rendered = told["materials"]["shown_people"]["count"], [row["name"] for row in told["patterns"]]
+    left_out = sum(told["photographs"]["left_out"].get(reason, 0) for reason in (UNFIT, UNCOVERED))
+    worn = results.controls[: -len(UNTRAINED)]
+    return {
+        "people": (results.trials["pose"].tolist(), list(range(people - left_out))),
+        "controls": (results.controls[len(worn) :], UNTRAINED),
+        "cloak made against it": (worn.count(AGAINST), int(told["differentiable"])),
+        "patterns": ([name for name in worn if name in rendered], rendered),
+        "size": (len(results.trials) <= size.people and sum("@" in name for name in worn) <= size.patterns, True),
+    }
+
+
 def _read_pictures(folder: Path, rows: dict[str, list[Results]], size: Size) -> tuple[dict, dict[str, Image.Image]]:
     """Read pictures.json and the pictures that it names; what a picture shows has to be what the rows say."""
-    path = plain(folder, "pictures.json", most=MAX_JSON_BYTES)
-    told, images = take(PICTURES, read_json(path), f"{path}: "), {}
+    path = _plain(folder, "pictures.json", most=MAX_JSON_BYTES)
+    told, images = take(PICTURES, read_json(path), str(path)), {}
     for part, shown, files, most in _listed(told, size):
         if "trial" in shown:
             _hold(path, describe(pool(rows[part]), shown["trial"]), {key: shown[key] for key in DESCRIBED})
         for name in files:
             place = ("pictures", place_of(part), name)
-            with open_picture(plain(folder, *place, most=MAX_PICTURE)) as picture:
+            with open_picture(_plain(folder, *place, most=MAX_PICTURE)) as picture:
                 if max(picture.size) > most or part not in rows:
                     raise InputError(f"{Path(*place)}: larger than the card's pictures, or of no part of it")
                 images["/".join(place)] = picture.convert("RGB" if name.endswith(".jpg") else "RGBA")
@@ -131,15 +189,12 @@ def _read_pictures(folder: Path, rows: dict[str, list[Results]], size: Size) -> 
 
 def _listed(told: dict, size: Size) -> Iterator[tuple[str, dict, list[str], int]]:
     """List what pictures.json shows: part, what is said of it, files, and their largest side in pixels."""
-    for shown in told["missed"]:
-        yield "clean", shown, [shown["clothing"]["file"]], size.pixels
-    for shown in told["alarms"]:
-        yield "clean", shown, [shown["bare"]["file"]], size.pixels
-    for part, pairs in told["hidden"].items():
-        for shown in pairs:
-            yield part, shown, [shown[worn]["file"] for worn in ("clothing", "logo")], size.pixels
+    shots = [("clean", shown) for kind in ("missed", "alarms") for shown in told[kind]]
+    shots += [(part, shown) for part, pairs in told["hidden"].items() for shown in pairs]
+    for part, shown in shots:
+        yield part, shown, [shown[key]["file"] for key in ("clothing", "logo", "bare") if key in shown], size.pixels
     for shown in told["cloaks"]:
-        yield shown["part"], shown, [shown[side] for side in SIDES if shown.get(side)], FLAT
+        yield shown["part"], shown, [shown[side] for side in SIDES if side in shown], FLAT
 
 
 def write_entry(entry: Entry, board: Path) -> Path:
@@ -161,12 +216,12 @@ def write_entry(entry: Entry, board: Path) -> Path:
 
 def remove_card(folder: Path) -> None:
     """Remove a card's folder; where it holds anything else, or a link, remove card.json alone."""
-    files = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
-    if all(not path.is_symlink() and _is_listed(path.relative_to(folder).as_posix()) for path in files):
+
+    def is_listed(path: Path) -> bool:
+        place = path.relative_to(folder).as_posix()
+        return not path.is_symlink() and any(fnmatch.fnmatchcase(place, pattern) for pattern in LISTED)
+
+    if all(is_listed(path) for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()):
         shutil.rmtree(folder)
     else:
         (folder / "card.json").unlink()
-
-
-def _is_listed(place: str) -> bool:
-    return any(fnmatch.fnmatchcase(place, pattern) for pattern in LISTED)

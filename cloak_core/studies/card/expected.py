@@ -11,10 +11,8 @@ from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, Results, make_results
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.trials import draw_trials
-from cloak_core.studies.card.certainty import UNTRAINED
 from cloak_core.studies.card.figures import card_of
-from cloak_core.studies.card.parts import Part, parts_of
-from cloak_core.studies.card.protocol import AGAINST, Size
+from cloak_core.studies.card.protocol import AGAINST, UNTRAINED, Part, Size, parts_of
 from cloak_core.zoo.entry import MARK
 
 
@@ -23,7 +21,7 @@ def expected_card(told: Mapping, size: Size, worn: Sequence[str]) -> dict:
 
     told: what the card will say itself (`schema.CARD`); worn: the patterns of people in photographs, by name.
     """
-    zoo = [MARK + row["name"] for row in told["black_box"]["zoo"]]
+    zoo = [MARK + row["name"] for row in told["black_box"]["zoo"] if not row["trained_against_it"]]
     shown = (*[AGAINST] * told["differentiable"], *zoo[:1], *worn, *UNTRAINED)
     card = card_of(told, size, {part.name: [_rows(part, told, shown)] for part in parts_of(told, size)})
     if card["photographs"] and zoo:
@@ -41,19 +39,11 @@ def _rows(part: Part, told: Mapping, shown: Sequence[str]) -> Results:
         settings, unseen = EvaluateSettings(**part.settings), told["materials"]["unseen"]
         controls, bodies = (LOGO, *dict.fromkeys((CLOTHING, *settings.controls))), unseen["poses"]
         trials = draw_trials(len(bodies), part.angles, 1, unseen["outfits"], settings)
+    trials = trials.assign(**dict.fromkeys(TRUE_BOX, 0.0))
     score = np.zeros((1, len(controls), len(trials)), np.float32)
     score[:, controls.index(CLOTHING)] = 1
     boxes = {name: np.zeros(0, kind) for name, kind in BOX_COLUMNS.items()} | {name: np.zeros(0) for name in CORNERS}
-    return make_results(
-        {told["spec"]: told["operating_point"]},
-        controls,
-        trials.assign(**dict.fromkeys(TRUE_BOX, 0.0)),
-        score,
-        score,
-        np.zeros((1, 1), np.float32),
-        boxes,
-        body_names=bodies,
-        background_names=("",),
-        other=np.ones_like(score),
-        other_name=np.full(score.shape, "other"),
-    )
+    bare = np.zeros((1, 1), np.float32)
+    names = {"body_names": bodies, "background_names": ("",), "other_name": np.full(score.shape, "other")}
+    own = {told["spec"]: told["operating_point"]}
+    return make_results(own, controls, trials, score, score, bare, boxes, other=np.ones_like(score), **names)

@@ -1,23 +1,44 @@
-"""A whole card from what it says itself and its rows: made so when it is measured, and again when it is checked."""
+"""A whole card from what it says itself and its rows: made so when it is measured, and again when it is checked.
+
+Figures are plain values of four digits. One is added here; `leaderboard` says where it is shown.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
+import pandas as pd
+
+from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluate import MEASUREMENT_VERSION
-from cloak_core.core.evaluation.results import Results, pool
-from cloak_core.core.evaluation.statistics import side_record, success_record
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.intervals import Rate, wilson
+from cloak_core.core.evaluation.precision import OVERLAPS, average_precision
+from cloak_core.core.evaluation.results import NOBODY, Results, pool
+from cloak_core.core.evaluation.statistics import (
+    THRESHOLDS,
+    digits,
+    found_rate,
+    hidden_rate,
+    operating_point,
+    outcome_record,
+    published_rates,
+    rate_record,
+    share,
+    side_record,
+    success_record,
+    threshold_curve,
+)
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import parse_json
-from cloak_core.studies import statistics_card
-from cloak_core.studies.card.certainty import MEASURED, NOT_MEASURED, state, state_of_attack, whole, worn_rows
-from cloak_core.studies.card.parts import part_of_area
-from cloak_core.studies.card.protocol import AGAINST, AREAS, FORMAT, VERSION, Size
-from cloak_core.studies.card.schema import CARD, inside
+from cloak_core.studies.card.protocol import AGAINST, AREAS, FORMAT, VERSION, Size, part_of_area, parts_of
+from cloak_core.studies.card.schema import inside
+from cloak_core.studies.card.words import MEASURED, NOT_MEASURED, state, state_of_attack, whole, worn_rows
 from cloak_core.studies.training_store import TRAINING_VERSION
 from cloak_core.zoo.entry import MARK
 
@@ -26,37 +47,13 @@ ROUNDING = 2e-4
 DETECTOR = ("operating_point", "operating_point_assumed", "differentiable", "partial_gradient")
 """What a card says of its detector beside its spec."""
 VERSIONS = {"training": TRAINING_VERSION, "measurement": MEASUREMENT_VERSION}
+RECALL_BY = {"distance": "distance", "azimuth": "angle", "elevation": "elevation", "body": "body", "pose": "stance"}
+"""By what a card tells recall apart, and the column of the table."""
 
 
-def card_of(told: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) -> dict:
-    """Make a card. told: what it says itself (`schema.CARD`); rows: by part, a table for each repetition.
-
-    InputError: people in photographs do not wear the strongest of the zoo's cloaks.
-    """
-    spec, tables = told["spec"], {part: pool(repetitions) for part, repetitions in rows.items()}
-
-    def attack(part: str) -> dict:
-        return statistics_card.attack_record(tables[part], spec)
-
-    def white_box(part: str, steps: int, area: float | None = None) -> dict:
-        return {"steps": steps} | attack(part) | {"state": state_of_attack(steps, area, told["partial_gradient"])}
-
-    areas = size.areas if told["differentiable"] else ()
-    sure = {"state": MEASURED}
-    card = fixed(size) | {key: told[key] for key in CARD if key in told} | clean_figures(tables["clean"], spec)
-    card["white_box"] = [
-        {"asked": area} | row | white_box(part_of_area(area), size.steps, area)
-        for area, row in zip(areas, told["white_box"], strict=True)
-    ]
-    card["around"] = None
-    if "circle" in tables:
-        by_angle = statistics_card.by_angle_record(tables["circle"], spec)
-        card["around"] = white_box("circle", 2 * size.steps) | {"by_angle": by_angle}
-    card["black_box"] = {"zoo": [row | attack(f"zoo {row['name']}") | sure for row in told["black_box"]["zoo"]]}
-    card["patterns"] = [row | attack(f"pattern {row['name']}") | sure for row in told["patterns"]]
-    if "people" in tables:
-        card["photographs"] |= photograph_figures(card, tables["people"])
-    return parse_json(json.dumps(card | summary(card)).encode(), "figures")
+def detector_facts(detector: Detector) -> dict:
+    """Tell `DETECTOR` of a detector at hand."""
+    return {name: getattr(detector, name) for name in DETECTOR}
 
 
 def fixed(size: Size) -> dict:
@@ -65,17 +62,95 @@ def fixed(size: Size) -> dict:
     return {"format": FORMAT, "protocol": VERSION, "size": size.name, "versions": VERSIONS, "counts": counts}
 
 
-def detector_facts(detector: Detector) -> dict:
-    """Tell `DETECTOR` of a detector at hand."""
-    return {name: getattr(detector, name) for name in DETECTOR}
+def card_of(told: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) -> dict:
+    """Make a card. told: what it says itself (`schema.CARD`); rows: by part, a table for each repetition.
+
+    InputError: people in photographs do not wear the strongest of the zoo's cloaks.
+    """
+    spec, tables = told["spec"], {part: pool(repetitions) for part, repetitions in rows.items()}
+    attacks = {}
+    for part in parts_of(told, size):
+        if part.name not in ("clean", "people"):
+            steps = {"steps": part.steps} if part.steps else {}
+            sure = {"state": state_of_attack(part, told["partial_gradient"])}
+            attacks[part.name] = steps | attack_record(tables[part.name], spec) | sure
+    areas = size.areas if told["differentiable"] else ()
+    card = fixed(size) | dict(told) | {"photographs": told.get("photographs")} | clean_figures(tables["clean"], spec)
+    card["white_box"] = [
+        {"asked": area} | row | attacks[part_of_area(area)] for area, row in zip(areas, told["white_box"], strict=True)
+    ]
+    card["around"] = None
+    if "circle" in tables:
+        angles = tables["circle"].rows(spec, LOGO).groupby("angle")
+        by_angle = {f"{angle:g}": success_rates(seen) for angle, seen in angles}
+        card["around"] = attacks["circle"] | {"by_angle": by_angle}
+    card["black_box"] = {"zoo": [row | attacks[f"zoo {row['name']}"] for row in told["black_box"]["zoo"]]}
+    card["patterns"] = [row | attacks[f"pattern {row['name']}"] for row in told["patterns"]]
+    if "people" in tables:
+        card["photographs"] |= photograph_figures(card, tables["people"])
+    return parse_json(json.dumps(card | summary(card)).encode(), "figures")
+
+
+# --- of rows
+
+
+def success_rates(rows: pd.DataFrame) -> dict:
+    """Compute success at 0.6, at the detector's own threshold (`_own`), at 0.5 (`_05`), and mASR, with intervals."""
+    own = hidden_rate(rows, operating_point(rows))
+    record = rate_record("success", hidden_rate(rows), 4) | rate_record("success_own", own, 4)
+    return record | published_rates(rows, 4)
+
+
+def recall_rates(rows: pd.DataFrame) -> dict:
+    """Compute recall at 0.6 and (`_own`) at the detector's own threshold, each with its interval."""
+    recall, own = found_rate(rows), found_rate(rows, operating_point(rows))
+    return rate_record("recall", recall, 4) | rate_record("recall_own", own, 4) | {"n": recall.n}
+
+
+def precision_record(results: Results, rows: pd.DataFrame) -> dict:
+    """Compute AP50 and AP50:95, the mean of repetitions."""
+    wide = average_precision(results, rows, OVERLAPS)
+    return {"ap50": digits(average_precision(results, rows)), "ap50_95": digits(wide)}
+
+
+def attack_record(results: Results, spec: str) -> dict:
+    """Count what a cloak does to a detector, with own clothing and random colours beside it.
+
+    success, success_own, success_05, masr: see `success_rates`; by_threshold;
+    CONTROL, CONTROL_own; ap50, ap50_95; renamed, gone, named (`outcome_record`).
+    """
+    rows = results.rows(spec, LOGO)
+    record = success_rates(rows)
+    record["by_threshold"] = {f"{t:g}": digits(x) for t, x in zip(THRESHOLDS, threshold_curve(rows), strict=True)}
+    for control in results.controls[1:]:
+        other = results.rows(spec, control)
+        record |= {control: digits(share(other)), f"{control}_own": digits(share(other, operating_point(other)))}
+    record |= precision_record(results, rows) | outcome_record(rows)
+    return record | {"n": len(rows), "seeds": results.trainings}
 
 
 def clean_figures(results: Results, spec: str) -> dict:
-    """Compute what a detector finds without an attack, and beside untrained patterns."""
-    controls = statistics_card.control_records(results, spec, logo="noise")
+    """Compute what a detector finds in own clothing, its false alarms, and success of untrained patterns beside it.
+
+    Recall is told by distance (m), azimuth, elevation (degrees), body and pose, by their values.
+    """
+    rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
+    clean = recall_rates(rows) | rate_record("recall_on_body", found_rate(rows, column="score_on"), 4)
+    clean |= precision_record(results, rows)
+    for name, threshold in (("false_alarms", THRESHOLD), ("false_alarms_own", operating_point(rows))):
+        alarms = 1 - share(bare, threshold)
+        clean |= rate_record(name, Rate(alarms, *wilson(alarms, len(bare)), len(bare)), 4)
+    recall_by = {}
+    # A pose's kind is its body's name without the number at its end: "walking-10" is walking.
+    rows = rows.assign(stance=[re.sub(r"[-_ .]*\d+$", "", name) or name for name in rows["body"]])
+    for way, column in RECALL_BY.items():
+        groups = [(value if isinstance(value, str) else f"{value:g}", seen) for value, seen in rows.groupby(column)]
+        recall_by[way] = {label: recall_rates(seen) for label, seen in groups}
+    names = dict(zip(results.controls, results.controls, strict=True)) | {LOGO: "noise"}
+    controls = {name: success_rates(results.rows(spec, control)) for control, name in names.items()}
     return {
-        "clean": statistics_card.clean_record(results, spec) | {"state": MEASURED},
-        "recall_by": statistics_card.recall_by(results, spec),
+        "clean": clean | {"backgrounds": len(bare), "state": MEASURED},
+        "recall_by": recall_by,
         "controls": {name: row | {"state": MEASURED} for name, row in controls.items()},
     }
 
@@ -94,18 +169,19 @@ def photograph_figures(card: dict, results: Results) -> dict:
     return {"people": len(results.trials), "rows": figures}
 
 
+# --- of a card
+
+
 def summary(card: dict) -> dict:
     """Compute what a card says of all its parts together."""
-    black = card["black_box"]
-    counted = [row for row in black["zoo"] if not row["trained_against_it"]]
-    worst = others_strongest(black["zoo"])
+    zoo = card["black_box"]["zoo"]
+    counted = [row for row in zoo if not row["trained_against_it"]]
+    worst = others_strongest(zoo)
     most = {key: max((row[key] for row in counted), default=None) for key in ("success", "success_own")}
-    around = card.get("around")
+    black_box = {"zoo": zoo, "counted": len(counted), "worst": worst and worst["name"]} | most
     return {
-        "circle": around["success"] if around else None,
-        "black_box": {"zoo": black["zoo"], "counted": len(counted), "worst": worst and worst["name"]}
-        | most
-        | {"state": MEASURED if counted else NOT_MEASURED},
+        "circle": card["around"]["success"] if card["around"] else None,
+        "black_box": black_box | {"state": MEASURED if counted else NOT_MEASURED},
         "state": whole(card),
         "not_tested": untested(card),
     }
@@ -128,24 +204,22 @@ def untested(card: dict) -> list[str]:
     else:
         made = [row["asked"] for row in card["white_box"]]
         missing = [f"{area:.0%} of the body".replace("%", " %") for area in AREAS if area not in made]
-        missing += [] if card.get("around") else ["the full circle"]
+        missing += [] if card["around"] else ["the full circle"]
         if missing:
             said.append(f"Cloaks made against it for {', '.join(missing)}: not made in a card of size {card['size']}.")
         if card["partial_gradient"]:
             said.append(f"The gradient that the attack follows is not all of the answer's: {card['partial_gradient']}.")
-    if not any(not row["trained_against_it"] for row in card["black_box"]["zoo"]):
-        some = bool(card["black_box"]["zoo"])
-        why = "those there are were made against it" if some else "the zoo holds none for this scene's bodies"
+    zoo, photographs, counts = card["black_box"]["zoo"], card["photographs"], card["counts"]
+    if all(row["trained_against_it"] for row in zoo):
+        why = "those there are were made against it" if zoo else "the zoo holds none for this scene's bodies"
         said.append(f"No cloak made against other detectors: {why}.")
-    if not card.get("photographs"):
+    if not photographs:
         said.append("People in photographs: none were given (--people).")
-    elif card["photographs"]["people"] < card["counts"]["people"]:
-        said.append(
-            f"{card['photographs']['people']} people in photographs, of {card['counts']['people']} at this size."
-        )
-    if not card.get("patterns") and not any("@" in name for name in worn_rows(card)):
+    elif photographs["people"] < counts["people"]:
+        said.append(f"{photographs['people']} people in photographs, of {counts['people']} at this size.")
+    if not card["patterns"] and not any("@" in name for name in worn_rows(card)):
         said.append("Published patterns: none were given (--patterns).")
-    return said + [f"The pattern {name}: this size has {card['counts']['patterns']}." for name in card["left_patterns"]]
+    return said + [f"The pattern {name}: this size has {counts['patterns']}." for name in card["left_patterns"]]
 
 
 def differences(fresh: object, said: object, place: str = "") -> Iterator[str]:

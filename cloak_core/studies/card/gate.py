@@ -11,9 +11,8 @@ from xml.etree import ElementTree
 from cloak_core.files.errors import InputError, one_line, suggestion
 from cloak_core.files.reading import is_number, read_toml
 from cloak_core.files.writing import write_text
-from cloak_core.studies.card.certainty import AT_LEAST
 from cloak_core.studies.card.figures import row_name
-from cloak_core.studies.card.leaderboard import name_of
+from cloak_core.studies.card.words import AT_LEAST, name_of
 
 SIDES = ("min", "max")
 
@@ -47,18 +46,18 @@ def read_gate(path: Path) -> list[Bound]:
 
 def require_measured(path: Path, bounds: Sequence[Bound], card: dict) -> None:
     """Require that a card, which may be the expected one, has the figures of a gate. InputError: one that is none."""
-    known = {_unnamed(place) for place, value in flat(card) if value is None or is_number(value)}
+
+    def unnamed(place: str) -> str:
+        # Which class a person may be renamed to, nobody knows beforehand.
+        return re.sub(r"\.(named|named_own)\..+", r".\1", place)
+
+    known = {unnamed(place) for place, value in flat(card) if value is None or is_number(value)}
     for bound in bounds:
-        if _unnamed(bound.figure) not in known:
+        if unnamed(bound.figure) not in known:
             parts = [f"size {card['size']}", *["no white box"] * (not card["white_box"])]
             parts += ["no --people"] * (card.get("photographs") is None)
             what = f"figure of this card ({', '.join(parts)})"
             raise InputError(f"{path}: {bound.side} {bound.figure}: no {what}{suggestion(bound.figure, known)}")
-
-
-def _unnamed(place: str) -> str:
-    """Write a place without the class that a person may be renamed to, which nobody knows beforehand."""
-    return re.sub(r"\.(named|named_own)\..+", r".\1", place)
 
 
 def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
@@ -67,24 +66,19 @@ def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
     A figure that was not measured breaks its bound, and so does one that may be at most so much where it is only known
     to be at least so much.
     """
-    figures, said, unsure = dict(flat(card)), {}, set(_unsure(card))
+    figures, said = dict(flat(card)), {}
+    unsure = [place.removesuffix("state") for place, value in figures.items() if value == AT_LEAST and "." in place]
+    unsure += ["circle"] if "around." in unsure else []  # the same figure once more
     for bound in bounds:
         value = figures.get(bound.figure)
-        kept = is_number(value) and (value >= bound.value if bound.side == "min" else value <= bound.value)
-        found = f"is {value:g}" if is_number(value) else "was not measured"
-        if kept and bound.side == "max" and any(f"{bound.figure}.".startswith(f"{place}.") for place in unsure):
+        if not is_number(value):
+            kept, found = False, "was not measured"
+        elif bound.side == "max" and value <= bound.value and bound.figure.startswith(tuple(unsure)):
             kept, found = False, f"is at least {value:g}"
+        else:
+            kept, found = value >= bound.value if bound.side == "min" else value <= bound.value, f"is {value:g}"
         said[bound] = "" if kept else f"{name_of(card)}: {bound.figure} {found}; the gate asks for {bound}"
     return said
-
-
-def _unsure(card: dict) -> Iterator[str]:
-    """List the places of figures that are at least what they say."""
-    for place, value in flat(card):
-        head, _, key = place.rpartition(".")
-        if key == "state" and value == AT_LEAST and head:
-            yield head
-            yield from ("circle",) if head == "around" else ()
 
 
 def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:

@@ -1,6 +1,6 @@
 """The card's tables: the attacks on its page, its line in a leaderboard, and many cards as one table.
 
-To add a figure, compute it in `statistics_card` and give it a column here.
+To add a figure, compute it in `figures` and give it a column here.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text
-from cloak_core.studies.card.certainty import MEASURED, shown, strongest, whole
 from cloak_core.studies.card.protocol import VERSION
-from cloak_core.studies.report.words import file_name, interval, markdown, percent, short_name
+from cloak_core.studies.card.words import MEASURED, name_of, shown, strange_row, strongest, whole
+from cloak_core.studies.report.words import file_name, interval, markdown, percent
 
 HEAD = """# Leaderboard
 
@@ -27,28 +27,18 @@ not made against the detector. ≥: at least; –: not measured. Rows of differe
 """
 
 
-def name_of(card: dict) -> str:
-    """The detector's name, as pages call it."""
-    return card.get("label") or short_name(card["spec"])
-
-
-def _points(value: float) -> str:
-    """0.512 -> "51.2", as average precision is printed."""
-    return f"{100 * value:.1f}"
-
-
 def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
     """The columns of the table of attacks: head -> the cell of a row of `attack_record`."""
     return {
-        f"hidden at its own {card['operating_point']}": lambda row: shown(row),
+        f"hidden at its own {card['operating_point']}": shown,
         "95 %": lambda row: interval(row["ci95_own"]),
         "how sure": lambda row: row["state"],
         "hidden at 0.6": lambda row: percent(row["success"]),
         "95 % at 0.6": lambda row: interval(row["ci95"]),
         "hidden at 0.5": lambda row: percent(row["success_05"]),
         "mASR 0.1 – 0.9": lambda row: percent(row["masr"]),
-        "AP50": lambda row: _points(row["ap50"]),
-        "AP50:95": lambda row: _points(row["ap50_95"]),
+        "AP50": lambda row: f"{100 * row['ap50']:.1f}",
+        "AP50:95": lambda row: f"{100 * row['ap50_95']:.1f}",
         "something else there": lambda row: percent(row["renamed_own"]),
         "nothing there": lambda row: percent(row["gone_own"]),
         "random colours": lambda row: percent(row["random_own"]),
@@ -59,17 +49,20 @@ def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
 
 def leaderboard_row(card: dict) -> dict[str, str]:
     """The card's line in a leaderboard, column by column; photographs first."""
-    clean, attacks, black, around = card["clean"], card["white_box"], card["black_box"], card.get("around")
-    worn = strongest(card, True)
-    strange = next((row for row in black["zoo"] if row["name"] == black["worst"]), None)
+
+    def both(row: dict | None, key: str = "success_own") -> str:
+        # A share and, in a line of its own, its interval: a table of ten columns then fits a page.
+        return f"{shown(row, key)}\n({interval(row['ci95_own'])})" if row else shown(row)
+
+    clean, worn = card["clean"], strongest(card, True)
     return {
         "detector": name_of(card),
-        "photographs ↓": _both(worn and worn.row, "success_own"),
-        **{f"{percent(row['asked'])} ↓": _both(row, "success_own") for row in reversed(attacks)},
-        "all around ↓": _both(around, "success_own"),
-        "others' cloaks ↓": _both(strange, "success_own"),
-        "clean recall ↑": _both(clean, "recall_own"),
-        "AP50 ↑": _points(clean["ap50"]),
+        "photographs ↓": both(worn and worn.row),
+        **{f"{percent(row['asked'])} ↓": both(row) for row in reversed(card["white_box"])},
+        "all around ↓": both(card.get("around")),
+        "others' cloaks ↓": both(strange_row(card)),
+        "clean recall ↑": both(clean, "recall_own"),
+        "AP50 ↑": f"{100 * clean['ap50']:.1f}",
         "false alarms ↓": percent(clean["false_alarms_own"]),
         "threshold": f"{card['operating_point']:g}",
         "size": card["size"],
@@ -81,11 +74,6 @@ def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:
     rows = [leaderboard_row(card) for card in cards]
     heads = list(dict.fromkeys([*max(rows, key=len), *(key for row in rows for key in row)]))
     return heads, [[row.get(head, "–") for head in heads] for row in rows]
-
-
-def _both(row: dict | None, key: str) -> str:
-    """A share and, in a line of its own, its interval: a table of ten columns then fits a page."""
-    return f"{shown(row, key)}\n({interval(row['ci95_own'])})" if row else shown(row)
 
 
 # --- many cards
@@ -102,10 +90,11 @@ def gather(folder: Path) -> dict[str, dict]:
 def folder_names(specs: Sequence[str]) -> dict[str, str]:
     """Name a folder for each detector: its short name, and a hash of its spec where others may share that name."""
     short = {spec: file_name(spec) for spec in specs}
-    whole = {spec: set("@=") & set(spec) or list(short.values()).count(short[spec]) > 1 for spec in specs}
-    return {
-        spec: f"{name}-{sha256_record({'spec': spec})[:6]}" if whole[spec] else name for spec, name in short.items()
-    }
+    names = list(short.values())
+    for spec, name in short.items():
+        if set("@=") & set(spec) or names.count(name) > 1:
+            short[spec] = f"{name}-{sha256_record({'spec': spec})[:6]}"
+    return short
 
 
 def read_card(path: Path) -> dict:
@@ -137,10 +126,11 @@ def ranked(cards: Iterable[dict]) -> list[dict]:
 
     Robust: by the strongest attack on people in photographs, where any were shown, then the mean over the areas.
     """
-    return sorted(cards, key=lambda card: (whole(card) != MEASURED, not card["white_box"], *_hidden(card)))
 
+    def place(card: dict) -> tuple:
+        rows, worn = card["white_box"], strongest(card, True)
+        mean = sum(row["success_own"] for row in rows) / len(rows) if rows else 1.0
+        in_photographs = worn.row["success_own"] if worn else 1.0
+        return whole(card) != MEASURED, not rows, in_photographs, mean, card["spec"]
 
-def _hidden(card: dict) -> tuple[float, float, str]:
-    rows, worn = card["white_box"], strongest(card, True)
-    mean = sum(row["success_own"] for row in rows) / len(rows) if rows else 1.0
-    return worn.row["success_own"] if worn else 1.0, mean, card["spec"]
+    return sorted(cards, key=place)

@@ -9,27 +9,25 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
-from markupsafe import Markup
 
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.core.evaluation.results import NOBODY
+from cloak_core.core.evaluation.results import NOBODY, Results
 from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.core.pattern import Pattern
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text, written
-from cloak_core.studies.card import certainty, leaderboard, words
-from cloak_core.studies.card.certainty import MEASURED, worn_rows
+from cloak_core.studies.card import leaderboard, words
 from cloak_core.studies.card.leaderboard import markdown_rows, read_card
-from cloak_core.studies.card.parts import part_of_area
+from cloak_core.studies.card.protocol import Part, part_of_area
 from cloak_core.studies.imagery import flat_views
 from cloak_core.studies.report import page, plots
 from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
 from cloak_core.studies.report.words import markdown
 from cloak_core.studies.store import RunStore
-from cloak_core.studies.training_store import Trained
 
 CARD = "card.html"
 PAGES = (CARD, "card.md", "model_card.md")
@@ -38,8 +36,6 @@ FLAT = 320
 SHOWN = 4
 """Pictures of a kind."""
 SIDES = ("front", "back")
-Shown = Mapping[str, tuple[Trained, tuple[float, ...], dict]]
-"""By part: a cloak, the test azimuths and the evaluation settings it was judged with."""
 
 
 def write_card(folder: Path) -> Path:
@@ -57,10 +53,9 @@ def write_card(folder: Path) -> Path:
         "card": card,
         "words": words,
         "board": leaderboard,
-        "certainty": certainty,
         "picture": next((pairs[0] for pairs in shown["hidden"].values()), None),
         "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
-        "figures": _figures(plots.card_figures, card),
+        "figures": page.figures(plots.card_figures, card),
         "pictures": shown,
         "size": card["counts"]["pixels"],
         "text": json.dumps({key: card[key] for key in ("counts", "materials", "made")}, indent=2),
@@ -79,7 +74,7 @@ def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
         "cards": list(zip(cards, links, strict=True)),
         "heads": heads,
         "rows": rows,
-        "figures": _figures(plots.comparison_figures, cards),
+        "figures": page.figures(plots.comparison_figures, cards),
         "mixed": len({(card["size"], card["made"]["seed"]) for card in cards}) > 1,
     }
     return page.write_page(path, "compare.html", values)
@@ -87,46 +82,48 @@ def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
 
 def model_card(card: dict) -> str:
     """Write the card as a model hub reads it: YAML front matter (`model-index`) and the sentences below it."""
-    attacked = {f"hidden at {row['asked']:.0%} of the body": row for row in card["white_box"]}
-    attacked |= {f"hidden in photographs, {name}": row for name, row in worn_rows(card).items()}
-    figures = {"recall": (card["clean"]["recall_own"], MEASURED), "ap50": (card["clean"]["ap50"], MEASURED)}
-    figures |= {name: (row["success_own"], row["state"]) for name, row in attacked.items()}
-    dataset = {"name": f"Cloak protocol {card['protocol']}, {card['size']}", "type": "cloak"}
+    clean, name = card["clean"], words.name_of(card)
+    figures = [("recall", clean["recall_own"], words.MEASURED), ("ap50", clean["ap50"], words.MEASURED)]
+    attacked = [(f"hidden at {row['asked']:.0%} of the body", row) for row in card["white_box"]]
+    attacked += [(f"hidden in photographs, {worn}", row) for worn, row in words.worn_rows(card).items()]
+    figures += [(label, row["success_own"], row["state"]) for label, row in attacked]
     metrics = [
-        {"type": name, "name": name, "value": value, "args": {"state": state}}
-        for name, (value, state) in figures.items()
+        {"type": label, "name": label, "value": value, "args": {"state": state}} for label, value, state in figures
     ]
+    dataset = {"name": f"Cloak protocol {card['protocol']}, {card['size']}", "type": "cloak"}
     result = {"task": {"type": "object-detection"}, "dataset": dataset, "metrics": metrics}
-    index = [{"name": leaderboard.name_of(card), "results": [result]}]
+    index = [{"name": name, "results": [result]}]
     front = {"pipeline_tag": "object-detection", "tags": ["person-detection", "robustness"], "model-index": index}
-    lines = [f"{key}: {json.dumps(value)}" for key, value in front.items()]  # JSON is YAML, too
+    head = "\n".join(
+        ["---", *(f"{key}: {json.dumps(value)}" for key, value in front.items()), "---"]
+    )  # JSON is YAML, too
+    table = "\n".join(markdown_rows([card]))
     said = [markdown(write(card)) for write in (words.headline, words.lede, words.advice)]
     untested = "\n".join(f"- {markdown(line)}" for line in words.not_tested(card))
-    table = "\n".join(markdown_rows([card]))
-    head = "\n".join(["---", *lines, "---"])
-    return "\n\n".join([head, f"# {markdown(leaderboard.name_of(card))}", table, *said, "Not tested:", untested]) + "\n"
-
-
-def _figures(draw: Callable[..., dict], what: object) -> dict[str, Markup]:
-    with page.page_style():
-        return {name: page.svg(figure) for name, figure in draw(what).items()}
+    return "\n\n".join([head, f"# {markdown(name)}", table, *said, "Not tested:", untested]) + "\n"
 
 
 def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
     """Prepare for the template what pictures.json tells, with the pictures as data."""
-    shot = lambda part, told: page.shot(folder / place_of(part), [card["spec"]], told)
+
+    def shot(part: str, told: dict) -> dict:
+        return page.shot(folder / place_of(part), [card["spec"]], told)
+
+    def flat(told: dict) -> dict:
+        sides = [side for side in SIDES if side in told]
+        return {side: page.data_uri(folder / place_of(told["part"]) / Path(told[side]).name) for side in sides}
+
     hidden = pictures.get("hidden", {})
-    parts = _parts_with_pairs(card, hidden)
-    pair = lambda part, told: dict(told, own=shot(part, told["clothing"]), worn=shot(part, told["logo"]))
-    cloaks = [(told, folder / place_of(told["part"])) for told in pictures.get("cloaks", [])]
     return {
-        "hidden": {part: [pair(part, told) for told in hidden[part]] for part in parts},
-        "missed": [dict(told, shot=shot("clean", told["clothing"])) for told in pictures.get("missed", [])],
-        "alarms": [dict(told, shot=shot("clean", told["bare"])) for told in pictures.get("alarms", [])],
-        "cloaks": [
-            told | {side: page.data_uri(place / Path(told[side]).name) for side in SIDES if side in told}
-            for told, place in cloaks
-        ],
+        "hidden": {
+            part: [
+                told | {"own": shot(part, told["clothing"]), "worn": shot(part, told["logo"])} for told in hidden[part]
+            ]
+            for part in _parts_with_pairs(card, hidden)
+        },
+        "missed": [told | {"shot": shot("clean", told["clothing"])} for told in pictures.get("missed", [])],
+        "alarms": [told | {"shot": shot("clean", told["bare"])} for told in pictures.get("alarms", [])],
+        "cloaks": [told | flat(told) for told in pictures.get("cloaks", [])],
     }
 
 
@@ -142,8 +139,10 @@ def _parts_with_pairs(card: dict, hidden: Mapping[str, Sequence]) -> list[str]:
 # --- the pictures beside a card
 
 
-def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> dict:
+def keep_pictures(folder: Path, store: RunStore, seen: Sequence[tuple[Part, Pattern, Results]], card: dict) -> dict:
     """Write pictures into `folder` (replacing what is there) and return what they show, ready for JSON.
+
+    seen: parts, with what was worn in the first repetition and its rows.
 
     `missed`: own clothing, the lowest scores not above the detector's own threshold; `hidden`: by part of the attack,
     where the page shows it, cloaked bodies that it does not report though it is surest of them in own clothing;
@@ -154,34 +153,31 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
         folder.mkdir(parents=True)
     spec, own, detectors = card["spec"], card["operating_point"], store.split.detectors
     found: dict = {"missed": [], "alarms": [], "hidden": {}, "cloaks": []}
-    results = {
-        part: store.measure_repetitions([worn], angles, **settings) for part, (worn, angles, settings) in shown.items()
-    }
-    trials = {part: hidden_trials(results[part].rows(spec, LOGO), own) for part in shown if part != "clean"}
+    trials = {part.name: _hidden_trials(results.rows(spec, LOGO), own) for part, _, results in seen}
     paired = _parts_with_pairs(card, trials)
-    for part, (worn, angles, settings) in shown.items():
-        images, patterns = store.shown(worn.pattern, angles, store.evaluate_settings(**settings))
-        place = folder / place_of(part)
+    for part, pattern, results in seen:
+        images, patterns = store.shown(pattern, part.angles, store.evaluate_settings(**part.settings))
+        place = folder / place_of(part.name)
         place.mkdir()
-        if part == "clean":
-            rows, bare = results[part].rows(spec, CLOTHING), results[part].rows(spec, NOBODY)
+        if part.name == "clean":
+            rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
             for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
                 shots = draw_trial(place, images, {CLOTHING: patterns[CLOTHING]}, trial, detectors)
                 found["missed"].append(describe(images, trial) | shots)
             for index in first_by(bare[~hidden(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
                 shot = write_shot(place / f"bare-{index:05d}.jpg", images.bare([index]), detectors)
                 found["alarms"].append({"background": images.background_names[index], "bare": shot})
-        else:
-            if part in paired:
-                found["hidden"][part] = [draw_pair(place, images, patterns, trial, detectors) for trial in trials[part]]
-            flat = flat_views(store.split.unseen, worn.pattern, FLAT)
-            views = {side: rgba for side, rgba in flat.items() if side in SIDES}
-            flat = {side: write_flat(place, side, rgba) for side, rgba in views.items()}
-            found["cloaks"].append({"part": part} | flat)
+            continue
+        if part.name in paired:
+            pairs = [draw_pair(place, images, patterns, trial, detectors) for trial in trials[part.name]]
+            found["hidden"][part.name] = pairs
+        flat = flat_views(store.split.unseen, pattern, FLAT)
+        sides = {side: write_flat(place, side, rgba) for side, rgba in flat.items() if side in SIDES}
+        found["cloaks"].append({"part": part.name} | sides)
     return found
 
 
-def hidden_trials(rows: pd.DataFrame, own: float) -> list[int]:
+def _hidden_trials(rows: pd.DataFrame, own: float) -> list[int]:
     """Choose the hidden images whose person is found most surely in own clothing, of different bodies if possible."""
     gone = rows[hidden(rows, own) & (rows["clean"] > own).to_numpy()]
     gone = gone.sort_values("clean", ascending=False, kind="stable")

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Int64
 
+from cloak_core.core.evaluation.controls import CLOTHING, NATURAL
+from cloak_core.core.evaluation.results import Results
 from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.core.logo import chest_thighs, front_faces, shirt_trousers
 from cloak_core.exchange.bodies import Bodies
@@ -23,6 +29,12 @@ CIRCLE = "0:330:30"
 """Training azimuths of the cloak for the full circle."""
 AGAINST = "made against it"
 """What the largest cloak for the front is called on people in photographs."""
+UNTRAINED = (CLOTHING, "grey", "random", "resampled")
+"""What people in photographs wear as controls."""
+BESIDE = (CLOTHING, "random")
+"""Controls beside every cloak."""
+ROWS = "rows"
+"""Folder beside card.json."""
 CLEAN_ANGLES = tuple(float(a) for a in range(0, 360, 45))
 CLEAN_ELEVATIONS = (0.0, 6.0, 15.0, 30.0)
 CLEAN_DISTANCES = (1.4, 2.2, 3.2, 4.5, 6.0)
@@ -82,9 +94,73 @@ FULL = Size("full", 1500, 3, 1, 15, 4, 1920, 256, 400, 48)
 SIZES = {size.name: size for size in (QUICK, STANDARD, FULL)}
 
 
-def updates_needed(area: float | None) -> int:
-    """Count the updates below which an attack is short: on this share of the body (0 to 1), None for all around."""
-    return ENOUGH_LARGEST if area == AREAS[-1] else ENOUGH
+@dataclass(frozen=True)
+class Part:
+    """One measurement of a card; its rows are a table for each repetition (`Results`), in the folder rows/."""
+
+    name: str
+    """"clean", "area 76%", "circle", "zoo NAME", "pattern NAME", "people"."""
+    angles: tuple[float, ...] = ()
+    """Test azimuths, degrees."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """Evaluation settings by name; none for people in photographs."""
+    steps: int = 0
+    """Updates of the cloak's training; 0 where nothing is trained."""
+    area: float | None = None
+    """Share of the body that a cloak for the front is to cover."""
+    repetitions: int = 1
+    """How often the cloak is trained."""
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the files of rows, one for each repetition."""
+        stem = "".join(letter if letter.isalnum() or letter in "-_=" else "-" for letter in self.name)
+        return [f"{stem}.{k}.npz" for k in range(self.repetitions)]
+
+    @property
+    def enough(self) -> int:
+        """Updates below which its attack is short."""
+        return ENOUGH_LARGEST if self.area == AREAS[-1] else ENOUGH
+
+
+def part_of_area(area: float) -> str:
+    """Name the part of an area's cloak."""
+    return f"area {area:.0%}"
+
+
+def parts_of(told: Mapping, size: Size) -> list[Part]:
+    """List the parts of a card in the order of measuring. told: what a card says itself (`schema.CARD`)."""
+    base = {"size": size.pixels, "shift": min(50, size.pixels // 8), "seed": told["made"]["seed"]}
+    # Own clothing and untrained patterns from everywhere, and bare scenes.
+    places = (
+        len(CLEAN_ANGLES) * len(CLEAN_ELEVATIONS) * len(CLEAN_DISTANCES) * len(told["materials"]["unseen"]["poses"])
+    )
+    clean = base | {
+        "elevations": CLEAN_ELEVATIONS,
+        "distances": CLEAN_DISTANCES,
+        "images_per_view": math.ceil(size.clean_images / places),
+        "most_images": size.clean_images,
+        "bare": size.bare,
+        "controls": (CLOTHING, "grey", "random", *NATURAL),
+    }
+    worn = base | {"images_per_view": size.images_per_view, "controls": BESIDE, "bare": 1}
+    parts = [Part("clean", CLEAN_ANGLES, clean)]
+    if told["differentiable"]:
+        front = partial(Part, angles=size.front_angles, settings=worn, steps=size.steps, repetitions=size.seeds)
+        parts += [front(part_of_area(area), area=area) for area in size.areas]
+        around = Part("circle", size.circle_angles, worn, 2 * size.steps, repetitions=size.seeds)
+        parts += [around] * size.circle
+    shown = [f"zoo {row['name']}" for row in told["black_box"]["zoo"]]
+    shown += [f"pattern {row['name']}" for row in told["patterns"]]
+    parts += [Part(name, size.front_angles, worn) for name in shown]
+    return parts + [Part("people")] * (told.get("photographs") is not None)
+
+
+def keep_rows(folder: Path, part: Part, repetitions: Sequence[Results]) -> None:
+    """Write a part's rows beside the card."""
+    (folder / ROWS).mkdir(exist_ok=True)
+    for name, results in zip(part.files, repetitions, strict=True):
+        results.save(folder / ROWS / name)
 
 
 def nested_areas(bodies: Bodies, shares: tuple[float, ...]) -> list[Int64[np.ndarray, " L"]]:
@@ -93,23 +169,20 @@ def nested_areas(bodies: Bodies, shares: tuple[float, ...]) -> list[Int64[np.nda
     The front comes before the back, each from the middle of the chest outwards, so every larger logo holds the smaller
     ones; none is more than the garments.
     """
-    garments, areas, centres = shirt_trousers(bodies), face_areas(bodies), face_centres(bodies)
-    behind = ~front_faces(bodies)[garments]
-    away = np.linalg.norm(centres[garments] - _chest(bodies, centres, areas), axis=1)
-    order = garments[np.lexsort((garments, away, behind))]
-    covered = np.cumsum(areas[order]) / areas.sum()
-    counts = (max(1, int(np.searchsorted(covered, share, side="right"))) for share in shares)
-    return [np.sort(order[:count]) for count in counts]
-
-
-def _chest(
-    bodies: Bodies, centres: Float[np.ndarray, "F 3"], areas: Float[np.ndarray, " F"]
-) -> Float[np.ndarray, " 3"]:
-    """The chest's middle: of the region of that name, or of the upper half of what a scene has for it."""
+    garments = shirt_trousers(bodies)
+    areas = face_areas(bodies)
+    centres = face_centres(bodies)
+    front = front_faces(bodies)
     if "chest" in bodies.regions:
-        chest = np.flatnonzero(bodies.regions["chest"] & front_faces(bodies))
+        chest = np.flatnonzero(bodies.regions["chest"] & front)
     else:
+        # The upper half of what such a scene has for chest and thighs.
         chest = chest_thighs(bodies)
         height = centres[chest, 1]
         chest = chest[height > (height.min() + height.max()) / 2]
-    return np.average(centres[chest], axis=0, weights=areas[chest])
+    middle = np.average(centres[chest], axis=0, weights=areas[chest])
+    away = np.linalg.norm(centres[garments] - middle, axis=1)
+    order = garments[np.lexsort((garments, away, ~front[garments]))]
+    covered = np.cumsum(areas[order]) / areas.sum()
+    counts = (max(1, int(np.searchsorted(covered, share, side="right"))) for share in shares)
+    return [np.sort(order[:count]) for count in counts]

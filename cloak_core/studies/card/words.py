@@ -1,28 +1,24 @@
-"""The card's sentences: what a manager reads, made by rule from the figures and how sure they are."""
+"""How sure a card's figures are, and its sentences: made by rule, the same for page, terminal, gate and leaderboard.
+
+A figure is "measured"; or "at least" as much, where the attack behind it was shorter than the protocol asks for or
+followed a part of the gradient alone; or "not measured".
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 from cloak_core.detectors.defended.table import split_defence
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.specs import without_folders
-from cloak_core.studies.card.certainty import (
-    AT_LEAST,
-    HALF,
-    MEASURED,
-    NOT_MEASURED,
-    kind,
-    shown,
-    state,
-    strongest,
-    whole,
-    worded,
-    worn_rows,
-)
-from cloak_core.studies.card.leaderboard import name_of
+from cloak_core.studies.card.protocol import AGAINST, UNTRAINED, Part
 from cloak_core.studies.hardening.student import TRAINABLE
-from cloak_core.studies.report.words import interval, percent
+from cloak_core.studies.report.words import interval, percent, short_name
+from cloak_core.zoo.entry import MARK
 
-GOOD = 0.9
+MEASURED, AT_LEAST, NOT_MEASURED = "measured", "at least", "not measured"
+GOOD, HALF = 0.9, 0.5
 ALWAYS = (
     "Printed cloth before a real camera: clothes here are rendered, or laid on photographs by computation.",
     "Night, weather, blur, crowds, people behind things, children, seated or lying people.",
@@ -31,9 +27,105 @@ ALWAYS = (
 )
 
 
+def name_of(card: dict) -> str:
+    """Give the detector's name, as pages call it."""
+    return card.get("label") or short_name(card["spec"])
+
+
+# --- how sure
+
+
+def state_of_attack(part: Part, partial_gradient: str) -> str:
+    """Tell how sure a part's attack is; one that was not trained against the detector itself is measured."""
+    return AT_LEAST if part.steps and (part.steps < part.enough or partial_gradient) else MEASURED
+
+
+def state(row: dict | None) -> str:
+    """Tell how sure a row of a card is; one that is not there was not measured."""
+    return NOT_MEASURED if not row else row["state"]
+
+
+def shown(row: dict | None, key: str = "success_own") -> str:
+    """Write a share for tiles and tables: "55 %", "≥ 55 %", or "–" where it was not measured."""
+    if state(row) == NOT_MEASURED:
+        return "–"
+    return f"{'≥ ' if state(row) == AT_LEAST else ''}{percent(row[key])}"
+
+
+def whole(card: dict) -> str:
+    """Tell how sure a card is of the strongest attack: at most "at least" without a white box that was measured."""
+    sure = bool(card["white_box"]) and all(state(row) == MEASURED for row in card["white_box"])
+    return MEASURED if sure else AT_LEAST if any(attacks(card)) else NOT_MEASURED
+
+
+@dataclass(frozen=True)
+class Attack:
+    """An attack of a card, and what it did."""
+
+    worn: str
+    """In words: "a cloak on 76 % of the body, made against it"."""
+    row: dict
+    photographed: bool = False
+    in_photographs: str = ""
+    """Of an attack on rendered bodies: what people in photographs call the same cloth; "" where they never wear it."""
+
+
+def attacks(card: dict) -> Iterator[Attack]:
+    """List every attack of a card: on people in photographs, then on rendered bodies."""
+    for name, row in worn_rows(card).items():
+        pattern, _, is_pattern = name.partition("@")
+        strange = f"the pattern {pattern}" if is_pattern else f"{name}, made against other detectors,"
+        yield Attack("a cloak made against it" if name == AGAINST else strange, row, photographed=True)
+    for row in card["white_box"]:
+        largest = AGAINST if row is card["white_box"][-1] else ""
+        worn = f"a cloak on {percent(row['area'])} of the body, made against it,"
+        yield Attack(worn, row, in_photographs=largest)
+    if card.get("around"):
+        yield Attack("a cloak for all sides, made against it,", card["around"])
+    for row in card.get("patterns") or []:
+        yield Attack(f"the pattern {row['name'].partition('@')[0]}", row, in_photographs=row["name"])
+    for row in card["black_box"]["zoo"]:
+        if not row["trained_against_it"]:
+            worn = f"{row['name']}, made against other detectors,"
+            yield Attack(worn, row, in_photographs=MARK + row["name"])
+
+
+def strongest(card: dict, photographed: bool | None = None) -> Attack | None:
+    """Find the attack that hides most people at the detector's own threshold; of equal ones, the photographs'."""
+    chosen = [attack for attack in attacks(card) if photographed in (None, attack.photographed)]
+    return max(chosen, key=lambda attack: attack.row["success_own"], default=None)
+
+
+def worn_rows(card: dict) -> dict[str, dict]:
+    """Select what people in photographs wore beside the controls: name -> S; empty where there were none."""
+    rows = (card.get("photographs") or {}).get("rows", {})
+    return {name: row for name, row in rows.items() if name not in UNTRAINED}
+
+
+def strange_row(card: dict) -> dict | None:
+    """Find the zoo's strongest cloak that was made against other detectors."""
+    return next((row for row in card["black_box"]["zoo"] if row["name"] == card["black_box"]["worst"]), None)
+
+
+def kind(card: dict) -> str:
+    """Judge a card for whoever runs the detector.
+
+    bad: an attack hides half of the people or more. good: the white box was measured, and no interval of any attack
+    reaches half. unknown: else.
+    """
+    most = strongest(card)
+    if most is not None and most.row["success_own"] >= HALF:
+        return "bad"
+    sure = whole(card) == MEASURED and all(attack.row["ci95_own"][1] < HALF for attack in attacks(card))
+    return "good" if sure else "unknown"
+
+
+# --- sentences
+
+
 def headline(card: dict) -> str:
     """Say at most three sentences: how many hide in photographs, how many in renders, what one says of the other."""
-    return " ".join([*(line["said"] for line in lines(card)), *filter(None, (relation(card),))])
+    return " ".join(filter(None, (*(line["said"] for line in lines(card)), relation(card))))
 
 
 def lines(card: dict) -> list[dict]:
@@ -46,12 +138,12 @@ def lines(card: dict) -> list[dict]:
         attack = strongest(card, photographed)
         if attack is None:
             continue
-        sure = whole(card)
-        row = attack.row | {"state": AT_LEAST if AT_LEAST in (state(attack.row), sure) else MEASURED}
+        row = attack.row | {"state": AT_LEAST if AT_LEAST in (state(attack.row), whole(card)) else MEASURED}
         where = "In photographs" if photographed else "On rendered bodies"
-        said = f"{where}, {attack.worn} hides {worded(attack.row, sure)} of people from {name_of(card)}."
+        share = shown(row).replace("≥", "at least")
+        said = f"{where}, {attack.worn} hides {share} of people from {name_of(card)}."
         what = "of people in photographs hidden" if photographed else "of people hidden, rendered"
-        found.append(_tile(what, row, "success_own", "down") | {"said": said})
+        found.append(_tile(what, row) | {"said": said})
     return found
 
 
@@ -76,11 +168,12 @@ def relation(card: dict) -> str:
 
 def advice(card: dict) -> str:
     """Say what to do, by rule: first mend what is bad without an attack, then what a sure attack does."""
-    clean = card["clean"]
+    clean, judged = card["clean"], kind(card)
     if clean["recall_own"] < GOOD or clean["false_alarms_own"] > 1 - GOOD:
         return "First make it better without any attack: it misses people, or sees them where nobody is, too often."
-    if kind(card) == "bad":
-        hardening = f", harden it ({command})" if (command := harden_command(card["spec"])) else ""
+    if judged == "bad":
+        can_be_hardened = split_defence(card["spec"]) is None and parse_spec(card["spec"]).family in TRAINABLE
+        hardening = f", harden it (cloak harden {without_folders(card['spec'])})" if can_be_hardened else ""
         return (
             "Do not let it decide alone where somebody may want to hide: put a second sensor or an unlike detector "
             f"beside it{hardening}, and make this card again."
@@ -88,19 +181,12 @@ def advice(card: dict) -> str:
     if not card["white_box"]:
         return "Ask whoever has the network for the white-box part of this card before you rely on it."
     if whole(card) == AT_LEAST:
-        why = card["partial_gradient"] and "they follow a part of its gradient alone"
-        return f"Do not take these figures for its limit: its attacks were short of the protocol{why and f', {why}'}."
-    if kind(card) == "unknown":
+        why = ", they follow a part of its gradient alone" if card["partial_gradient"] else ""
+        return f"Do not take these figures for its limit: its attacks were short of the protocol{why}."
+    if judged == "unknown":
         return "Put a second sensor beside it where much depends on it: the intervals of its attacks reach half."
     longer = " Make a card of a larger size, too (cloak assess --size full)." if card["size"] != "full" else ""
     return f"Keep it so: hold every new version against bounds on these figures (cloak assess --gate).{longer}"
-
-
-def harden_command(spec: str) -> str:
-    """Give the command that hardens this detector; "" where its family cannot be."""
-    if split_defence(spec) is not None or parse_spec(spec).family not in TRAINABLE:
-        return ""
-    return f"cloak harden {without_folders(spec)}"
 
 
 def verdict(card: dict) -> tuple[str, str]:
@@ -108,44 +194,38 @@ def verdict(card: dict) -> tuple[str, str]:
     judged = kind(card)
     if judged == "bad":
         hiding = [row["asked"] for row in card["white_box"] if row["success_own"] >= HALF]
-        if hiding:
-            return judged, f"hidden by {percent(min(hiding))} of the body"
-        return judged, f"hidden by {strongest(card).worn.rstrip(',')}"
+        by = f"{percent(min(hiding))} of the body" if hiding else strongest(card).worn.rstrip(",")
+        return judged, f"hidden by {by}"
     if not card["white_box"]:
         return judged, "white box not measured"
-    if whole(card) == AT_LEAST:
-        return judged, "white box short of the protocol"
-    return judged, "no attack hid half"
+    return judged, "white box short of the protocol" if whole(card) == AT_LEAST else "no attack hid half"
 
 
 def tiles(card: dict) -> list[dict]:
     """List the large figures: what, value, interval, state, and whether that is good for whoever runs the detector."""
-    clean, black, rows = card["clean"], card["black_box"], card["white_box"]
-    ends = [rows[k] for k in sorted({0, len(rows) - 1})] if rows else []
-    listed = [_tile("finds people in own clothing", clean, "recall_own", "up")]
-    listed += [_tile(f"hidden by {percent(row['area'])} of the body", row, "success_own", "down") for row in ends]
-    listed += [] if rows else [_tile("hidden by a cloak made against it", None, "success_own", "down")]
-    listed.append(_tile("hidden all around", card.get("around"), "success_own", "down"))
-    strange = next((row for row in black["zoo"] if row["name"] == black["worst"]), None)
-    listed.append(_tile("hidden by others' cloaks", strange, "success_own", "down"))
-    listed.append(_tile("false alarms on bare scenes", clean, "false_alarms_own", "down"))
+    clean, rows = card["clean"], card["white_box"]
+    listed = [_tile("finds people in own clothing", clean, "recall_own")]
+    listed += [_tile(f"hidden by {percent(row['area'])} of the body", row) for row in (*rows[:1], *rows[1:][-1:])]
+    listed += [] if rows else [_tile("hidden by a cloak made against it", None)]
+    listed.append(_tile("hidden all around", card.get("around")))
+    listed.append(_tile("hidden by others' cloaks", strange_row(card)))
+    listed.append(_tile("false alarms on bare scenes", clean, "false_alarms_own"))
     return listed
 
 
-def _tile(what: str, row: dict | None, key: str, good: str) -> dict:
+def _tile(what: str, row: dict | None, key: str = "success_own") -> dict:
     """Make a tile: green only of what was measured; what was not measured has no number."""
-    if state(row) == NOT_MEASURED:
-        return {"what": f"{what}: not measured", "value": "–", "interval": "–", "kind": "unknown", "state": state(row)}
-    better = row[key] if good == "up" else 1 - row[key]
-    judged = "good" if better >= GOOD and state(row) == MEASURED else "bad" if better < HALF else "unknown"
-    bounds = row.get("ci95_" + key, row.get("ci95_own"))
-    steps = f" ({row['steps']:,} updates)" if state(row) == AT_LEAST and "steps" in row else ""
+    sure = state(row)
+    if sure == NOT_MEASURED:
+        return {"what": f"{what}: not measured", "value": "–", "interval": "–", "kind": "unknown", "state": sure}
+    better = row[key] if key == "recall_own" else 1 - row[key]
+    steps = f" ({row['steps']:,} updates)" if sure == AT_LEAST and "steps" in row else ""
     return {
         "what": what + steps,
         "value": shown(row, key),
-        "interval": interval(bounds),
-        "kind": judged,
-        "state": state(row),
+        "interval": interval(row.get("ci95_" + key, row.get("ci95_own"))),
+        "kind": "good" if better >= GOOD and sure == MEASURED else "bad" if better < HALF else "unknown",
+        "state": sure,
     }
 
 

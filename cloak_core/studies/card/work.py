@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from cloak_core.files.reading import read_json
@@ -17,40 +18,34 @@ TRAINED = 3
 """Cost of an image that is trained on, in images that are only looked at: forward, and backward twice that."""
 
 
+@dataclass
 class Work:
     """The parts of an assessment with their costs; trainings and evaluations tell it how far they are.
 
     The seconds of every part are kept in a file, so that an earlier, stopped call counts too; a part that was done
-    already adds none. `asked` names what is assessed: earlier times of anything else are dropped.
+    already adds none.
     """
 
-    def __init__(
-        self,
-        costs: dict[str, tuple[float, float]],
-        file: Path,
-        asked: str,
-        on_work: OnWork | None = None,
-        seeds: int = 1,
-    ) -> None:
-        """costs: by part, the images of its trainings (one for each seed; each counts `TRAINED`) and evaluations."""
-        self.costs, self.on_work, self.seeds = costs, on_work, seeds
-        self._file = file
-        self._record: dict = {"asked": asked, "seconds": {}, "done": []}
-        earlier = read_json(file) if file.exists() else {}
-        if earlier.get("asked") == asked:
+    costs: dict[str, tuple[float, float]]
+    """By part, the images of its trainings (one for each seed; each counts `TRAINED`) and of its evaluations."""
+    file: Path
+    asked: str
+    """Names what is assessed: earlier times of anything else are dropped."""
+    on_work: OnWork | None = None
+    seeds: int = 1
+
+    def __post_init__(self) -> None:
+        self._record: dict = {"asked": self.asked, "seconds": {}, "done": []}
+        earlier = read_json(self.file) if self.file.exists() else {}
+        if earlier.get("asked") == self.asked:
             self._record |= earlier
-        self._name, self._before, self._ended, self._steps = "", 0.0, 0, 1
-        self._looked = self._last = 0
+        self.total = float(sum(map(sum, self.costs.values())))
+        self._before, self._steps = 0.0, 1
 
     @property
     def seconds(self) -> float:
         """Time of all parts, over all calls."""
         return round(float(sum(self._record["seconds"].values())), 1)
-
-    @property
-    def total(self) -> float:
-        """Cost of all parts."""
-        return float(sum(map(sum, self.costs.values())))
 
     def seconds_left(self, pace: Pace) -> float:
         """Estimate the time of the parts that no call has finished."""
@@ -60,18 +55,18 @@ class Work:
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[None]:
         """Count what is done inside as this part."""
-        self._name, self._ended, started, done = name, 0, time.monotonic(), False
-        self._looked = self._last = 0
+        seconds, finished = self._record["seconds"], self._record["done"]
+        started, done = time.monotonic(), False
+        self._name, self._trainings, self._looked, self._last = name, 0, 0, 0
         self._tell(0.0)
         try:
             yield
             done = True
         finally:
-            seconds, finished = self._record["seconds"], self._record["done"]
             if name not in finished:
                 seconds[name] = seconds.get(name, 0.0) + time.monotonic() - started
                 finished += [name] * done
-                write_json(self._file, self._record)
+                write_json(self.file, self._record)
         self._before += sum(self.costs[name])
         self._tell(0.0)
 
@@ -80,10 +75,10 @@ class Work:
         if event.get("type") in ("start", "resume"):
             self._steps = event.get("steps") or 1
         elif event.get("type") == "step":
-            share = (self._ended + min(1.0, event["step"] / self._steps)) / self.seeds
+            share = (self._trainings + min(1.0, event["step"] / self._steps)) / self.seeds
             self._tell(self.costs[self._name][0] * share)
         elif event.get("type") == "end":
-            self._ended += 1
+            self._trainings += 1
 
     def on_images(self, done: int, total: int) -> None:
         """Take the images of an evaluation; a part has several, one after the other."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from PIL import Image
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_bytes, read_text
 from cloak_core.files.writing import write_text
 from cloak_core.studies.report import words
-from cloak_core.studies.report.style import inline_svg, style
+from cloak_core.studies.report.style import CSS_COLORS, style
 
 TEMPLATES = Path(__file__).parent / "templates"
 MAX_PICTURE = 16 << 20
@@ -55,9 +56,29 @@ def page_style() -> object:
     return style(**{"svg.fonttype": "none"})
 
 
+def figures(draw: Callable[..., Mapping[str, Figure]], *shown: object) -> dict[str, Markup]:
+    """Draw figures for a page, as markup by name."""
+    with page_style():
+        return {name: svg(figure) for name, figure in draw(*shown).items()}
+
+
 def svg(figure: Figure) -> Markup:
-    """Convert a figure to markup. Matplotlib escapes the text it draws."""
-    return Markup(inline_svg(figure))
+    """Convert a figure to an <svg> element: text stays text in the page's font, colours follow the page's theme.
+
+    Every colour of the style becomes a CSS variable (--ink, --faint, --c0 ...), so the page decides light and dark.
+    Matplotlib escapes the text that it draws.
+    """
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r'<svg ([^>]*?)width="[^"]*" ([^>]*?)height="[^"]*"', r"<svg \1\2", text, count=1)
+    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", text, count=1, flags=re.S)
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r"'DejaVu Sans'(, '[^']*')*(, sans-serif)?", "var(--font)", text)
+    for color, variable in CSS_COLORS.items():
+        text = text.replace(color, f"var({variable})")
+    return Markup(text)
 
 
 def data_uri(path: Path) -> str:

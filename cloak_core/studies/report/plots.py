@@ -14,11 +14,10 @@ from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.statistics import hidden_rate, rate_row, share
-from cloak_core.studies.card.leaderboard import name_of
+from cloak_core.studies.card.words import name_of
 from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows, rated
 from cloak_core.studies.report.style import CYCLE, SERIES, WIDTH, new_figure, percent_axis
 from cloak_core.studies.report.words import short_name
-from cloak_core.studies.statistics_card import KINSHIPS
 from cloak_core.studies.trained_run import History
 
 MOST_BODIES = 40
@@ -30,6 +29,8 @@ MOST_POINTS = 2000
 """Of a curve: a page has fewer pixels across."""
 HIDDEN, FOUND = "people hidden", "found in own clothing"
 WIDE = (1.5 * WIDTH, 3.2)
+KINSHIPS = ("sibling", "stranger")
+"""What files and `--json` call a judged detector: one of the same family as a surrogate, or of none."""
 MARKS = dict(zip(KINSHIPS, ("", " *"), strict=True))
 """Beside the name of a judged detector, by its kinship."""
 BARS = Bars(y="name", rate=HIDDEN)

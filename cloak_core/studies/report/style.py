@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -162,21 +160,3 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
         replace_file(target, draw)
         written.append(target)
     return written
-
-
-def inline_svg(figure: Figure) -> str:
-    """Convert a figure to an <svg> element: text stays text in the page's font, colours follow the page's theme.
-
-    Every colour of the style becomes a CSS variable (--ink, --faint, --c0 ...), so the page decides light and dark.
-    """
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r'<svg ([^>]*?)width="[^"]*" ([^>]*?)height="[^"]*"', r"<svg \1\2", svg, count=1)
-    svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.S)
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
-    svg = re.sub(r"'DejaVu Sans'(, '[^']*')*(, sans-serif)?", "var(--font)", svg)
-    for color, variable in CSS_COLORS.items():
-        svg = svg.replace(color, f"var({variable})")
-    return svg
