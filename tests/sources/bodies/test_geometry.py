@@ -10,7 +10,7 @@ from cloak_core.core.geometry import (
 )
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from tests.sources.bodies.solids import CUBE, cube, is_closed, polygons, sphere
+from tests.sources.bodies.solids import cube, is_closed, polygons
 
 
 def test_areas_normals_and_centres_of_a_cube() -> None:
@@ -19,12 +19,6 @@ def test_areas_normals_and_centres_of_a_cube() -> None:
     outwards = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
     assert np.allclose(face_normals(body), outwards)
     assert np.allclose(face_centres(body), 0.5 + outwards / 2)
-
-
-def test_areas_are_the_poses_own() -> None:
-    body = cube()
-    both = Bodies(np.concatenate([body.vertices, 2 * body.vertices]), body.triangles, body.triangle_face)
-    assert np.allclose(face_areas(both, pose=1), 4)
 
 
 def test_a_face_without_area_has_no_normal_but_a_centre() -> None:
@@ -40,34 +34,6 @@ def test_closed_and_outward() -> None:
     inside_out = Bodies(body.vertices, body.triangles[:, ::-1])
     assert is_closed(inside_out.triangles)
     assert not outward_parts(inside_out).any()
-
-
-def test_one_of_two_surfaces_inside_out_is_found() -> None:
-    body = cube()
-    two = Bodies(
-        np.concatenate([body.vertices, body.vertices + 10], axis=1),
-        np.concatenate([body.triangles, body.triangles[:, ::-1] + 8]),
-    )
-    assert is_closed(two.triangles)
-    assert not outward_parts(two).all()
-
-
-@pytest.mark.parametrize("damage", ["hole", "flip", "double", "needle"])
-def test_damaged_surfaces_are_not_closed(damage: str) -> None:
-    triangles = sphere(5, 3).triangles.copy()
-    if damage == "hole":
-        triangles = triangles[1:]
-    elif damage == "flip":
-        triangles[4] = triangles[4, ::-1]
-    elif damage == "double":
-        triangles = np.concatenate([triangles, triangles[:1]])
-    else:
-        triangles[2, 1] = triangles[2, 0]
-    assert not is_closed(triangles)
-
-
-def test_nothing_is_not_closed() -> None:
-    assert not is_closed(np.zeros((0, 3), np.int32))
 
 
 def test_inner_edges_of_three_sides_of_a_cube() -> None:
@@ -119,12 +85,6 @@ def test_an_edge_of_three_faces_joins_each_two() -> None:
     )
     pairs, _ = inner_edges(fins, np.arange(3))
     assert sorted(map(tuple, pairs.tolist())) == [(0, 1), (0, 2), (1, 2)]
-
-
-def test_a_single_face_has_no_inner_edge() -> None:
-    pairs, lengths = inner_edges(cube(), np.array([2]))
-    assert pairs.shape == (0, 2) and lengths.shape == (0,)
-    assert len(CUBE) == 8
 
 
 def test_each_part_drops_its_own_backs() -> None:

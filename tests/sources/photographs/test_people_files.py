@@ -1,26 +1,22 @@
 """Reading people: every way a COCO file writes a mask, who is left out, and bad input in one line."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.files.errors import InputError
+from cloak_core.library import wear
 from cloak_core.sources.photographs import reader
+from cloak_core.sources.photographs.fits import fit_people, fits_well, those_who_fit
 from cloak_core.sources.photographs.masks import decode_mask
 from cloak_core.sources.photographs.people import load_people
-from tests.sources.photographs.made_people import SIZE, photograph, write_people
+from tests.sources.photographs.made_people import SIZE, edit, photograph, write_people
+from tests.studies.test_wearing import BodyDetector
 
 pytestmark = pytest.mark.slow
-
-
-def edit(path, change):
-    record = json.loads(path.read_text())
-    change(record)
-    path.write_text(json.dumps(record))
-    return path
 
 
 def test_run_lengths_go_by_column_and_begin_with_zeros():
@@ -51,11 +47,6 @@ def test_people_are_read_with_their_landmarks(tmp_path):
     assert person.mask[int(y0) : int(y1), int(x0) : int(x1)].sum() == person.mask.sum()
 
 
-def test_a_selection_takes_photographs(tmp_path):
-    path = write_people(tmp_path, 3)
-    assert load_people(f"{path}[1::2]").photographs == ("made1.png",)
-
-
 def test_photographs_may_lie_in_a_folder_of_their_own(tmp_path):
     path = write_people(tmp_path)
     for k in range(2):
@@ -66,6 +57,18 @@ def test_photographs_may_lie_in_a_folder_of_their_own(tmp_path):
     assert len(load_people(path, tmp_path / "elsewhere")) == 2
 
 
+def sit(annotation):
+    xy = np.array(annotation["blazepose"]["xy"]).reshape(33, 2)
+    xy[[25, 26]] = xy[[23, 24]] + [0, 5]
+    annotation["blazepose"]["xy"] = xy.ravel().tolist()
+
+
+def stand_on_the_head(annotation):
+    xy = np.array(annotation["blazepose"]["xy"]).reshape(33, 2)
+    order = [*range(11), 27, 28, *range(13, 23), 25, 26, 23, 24, 11, 12, *range(29, 33)]
+    annotation["blazepose"]["xy"] = xy[order].ravel().tolist()
+
+
 LEFT_OUT = {
     "crowd": lambda a: a.update(iscrowd=1),
     "no mask": lambda a: a.pop("segmentation"),
@@ -73,6 +76,8 @@ LEFT_OUT = {
     "hidden": lambda a: a["blazepose"].update(visibility=[0.1] * 33),
     "small": lambda a: a.update(bbox=[100, 100, 20, 50]),
     "cut": lambda a: a["blazepose"]["xy"].__setitem__(55, 400.0),
+    "sitting": sit,
+    "not upright": stand_on_the_head,
 }
 
 
@@ -81,15 +86,6 @@ def test_who_cannot_be_dressed_is_counted_by_reason(tmp_path, reason):
     path = edit(write_people(tmp_path), lambda record: LEFT_OUT[reason](record["annotations"][1]))
     people = load_people(path)
     assert len(people) == 1 and people.left_out == {reason: 1}
-
-
-def test_someone_who_sits_is_left_out(tmp_path):
-    def sit(record):
-        xy = np.array(record["annotations"][1]["blazepose"]["xy"]).reshape(33, 2)
-        xy[[25, 26]] = xy[[23, 24]] + [0, 5]
-        record["annotations"][1]["blazepose"]["xy"] = xy.ravel().tolist()
-
-    assert load_people(edit(write_people(tmp_path), sit)).left_out == {"sitting": 1}
 
 
 BROKEN = {
@@ -113,39 +109,22 @@ def test_broken_annotations_are_named_in_one_line(tmp_path, words):
     assert "annotation 2 (made1.png)" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def stood_on_the_head(record):
-    xy = np.array(record["blazepose"]["xy"]).reshape(33, 2)
-    order = [*range(11), 27, 28, *range(13, 23), 25, 26, 23, 24, 11, 12, *range(29, 33)]
-    record["blazepose"]["xy"] = xy[order].ravel().tolist()
-
-
-def test_one_person_upside_down_is_left_out(tmp_path):
-    path = edit(write_people(tmp_path), lambda record: stood_on_the_head(record["annotations"][1]))
-    assert load_people(path).left_out == {"not upright": 1}
-
-
 def test_keypoints_of_another_order_are_refused(tmp_path):
-    path = edit(write_people(tmp_path, 3), lambda record: [stood_on_the_head(a) for a in record["annotations"][1:]])
+    path = edit(write_people(tmp_path, 3), lambda record: [stand_on_the_head(a) for a in record["annotations"][1:]])
     with pytest.raises(InputError, match=r"annotation 2 \(made1.png\): keypoints of another order\?.*2 of 3 people"):
         load_people(path)
 
 
-def test_coco_keypoints_of_another_count_are_refused(tmp_path):
-    path = edit(write_people(tmp_path, kind="coco"), lambda r: r["annotations"][0].update(keypoints=[1, 2, 2] * 18))
-    with pytest.raises(InputError, match="54 numbers of keypoints, COCO has 17"):
-        load_people(path)
-
-
-def test_a_missing_photograph_is_named(tmp_path):
-    path = write_people(tmp_path)
+def test_photographs_are_taken_from_the_folder_alone(tmp_path):
+    path = write_people(tmp_path, kind="coco")
     (tmp_path / "made1.png").unlink()
     with pytest.raises(InputError, match=r"image 2 \(made1.png\): no such photograph"):
         load_people(path)
-
-
-def test_a_file_name_does_not_lead_out_of_the_folder(tmp_path):
-    path = edit(write_people(tmp_path), lambda record: record["images"][0].update(file_name="../made0.png"))
+    edit(path, lambda record: record["images"][0].update(file_name="../made0.png"))
     with pytest.raises(InputError, match="leads out"):
+        load_people(path)
+    edit(path, lambda record: record["annotations"][0].update(keypoints=[1, 2, 2] * 18))
+    with pytest.raises(InputError, match="54 numbers of keypoints, COCO has 17"):
         load_people(path)
 
 
@@ -167,17 +146,14 @@ def test_another_file_is_refused(tmp_path, content):
         load_people(path)
 
 
-def test_nobody_to_dress_is_said_with_the_reasons(tmp_path):
-    path = edit(write_people(tmp_path, 1), lambda record: record["annotations"][0].update(iscrowd=1))
-    with pytest.raises(InputError, match=r"nobody in it can be dressed \(crowd 1\)"):
-        load_people(path)
-
-
 def test_a_photograph_with_nobody_to_dress_is_not_opened(tmp_path):
     path = edit(write_people(tmp_path), lambda record: record["annotations"][1].update(iscrowd=1))
     (tmp_path / "made1.png").unlink()
     people = load_people(path)
     assert len(people) == 1 and people.left_out == {"crowd": 1}
+    edit(path, lambda record: record["annotations"][0].update(iscrowd=1))
+    with pytest.raises(InputError, match=r"nobody in it can be dressed \(crowd 2\)"):
+        load_people(path)
 
 
 def test_a_photograph_is_read_again_when_somebody_looks_and_only_if_it_is_the_same(tmp_path):
@@ -213,3 +189,28 @@ def test_a_list_of_nothing_is_refused(tmp_path):
     for spec, words in ((tmp_path / "list.txt", "holds one a line"), (tmp_path / "*.json", "no file has such a name")):
         with pytest.raises(InputError, match=words):
             load_people(spec)
+
+
+def widened(*numbers):
+    """Give these annotations a mask that fills the photograph's middle: the body covers a small part of it."""
+
+    def change(record):
+        width = SIZE[1]
+        for number in numbers:
+            _, top, _, height = record["annotations"][number]["bbox"]
+            bottom = top + height
+            record["annotations"][number]["segmentation"] = [[2, top, width - 2, top, width - 2, bottom, 2, bottom]]
+
+    return change
+
+
+def test_a_body_that_does_not_fit_is_left_out(tmp_path):
+    people = load_people(edit(write_people(tmp_path, 3), widened(1)))
+    fits = fit_people(people)
+    assert len(people) == 3 and all(fits_well(fit.quality) for fit in fits)
+    fitting = those_who_fit(people, fits)
+    assert fitting.left_out["does not fit"] == 1 and fitting.photographs == ("made0.png", "made2.png")
+    found = wear(["zoo:builtin-sample"], people, {"d": BodyDetector()}, settings=WearSettings(size=96, bare=2))
+    assert found["people"] == 2 and found["left_out"]["does not fit"] == 1
+    with pytest.raises(InputError, match="people: the body fits none of its 2 people"):
+        fit_people(load_people(edit(write_people(tmp_path / "none", 2), widened(0, 1))))

@@ -16,16 +16,9 @@ from cloak_core.sources.photographs.fits import fit_people, people_identity
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.person import Person, file_stamp, pack_mask
 from cloak_core.studies.trainings.run_record import _people
-from tests.sources.photographs.made_people import write_people
+from tests.sources.photographs.made_people import edit, write_people
 
 pytestmark = pytest.mark.slow
-
-
-def edit(path: Path, change: Callable[[dict], object]) -> Path:
-    record = json.loads(path.read_text())
-    change(record)
-    path.write_text(json.dumps(record))
-    return path
 
 
 def nearer(person: Person) -> Person:
@@ -83,31 +76,25 @@ def test_another_depth_is_another_fit(tmp_path: Path) -> None:
     assert fit_people(moved)[0].identity == other.identity
 
 
-def test_an_annotation_listed_twice_counts_once(tmp_path: Path) -> None:
-    path = write_people(tmp_path)
-
-    def twice(record: dict) -> None:
-        first = record["annotations"][0]
-        record["annotations"] += [first, first | {"id": 77}]
-
-    people = load_people(edit(path, twice))
-    assert len(people) == 2 and people.left_out == {"listed twice": 2}
-    # She is not somebody else who stands where she does.
-    assert all(person.others == () for person in people)
+def annotation_twice(record: dict) -> None:
+    first = record["annotations"][0]
+    record["annotations"] += [first, first | {"id": 77}]
 
 
-def test_a_photograph_listed_twice_counts_once_whatever_it_is_called(tmp_path: Path) -> None:
+def photograph_twice(record: dict) -> None:
+    image, person = record["images"][0], record["annotations"][0]
+    record["images"] += [image, image | {"id": 9, "file_name": "copy.png"}]
+    record["annotations"].append(person | {"id": 9, "image_id": 9})
+
+
+@pytest.mark.parametrize("twice", [annotation_twice, photograph_twice])
+def test_what_is_listed_twice_counts_once_whatever_it_is_called(tmp_path: Path, twice: Callable) -> None:
     path = write_people(tmp_path)
     shutil.copy(tmp_path / "made0.png", tmp_path / "copy.png")
-
-    def twice(record: dict) -> None:
-        image, person = record["images"][0], record["annotations"][0]
-        record["images"] += [image, image | {"id": 9, "file_name": "copy.png"}]
-        record["annotations"].append(person | {"id": 9, "image_id": 9})
-
     people = load_people(edit(path, twice))
-    assert len(people) == 2 and people.photographs == ("made0.png", "made1.png")
-    assert people.left_out == {"listed twice": 2}
+    assert people.photographs == ("made0.png", "made1.png") and people.left_out == {"listed twice": 2}
+    # She is not somebody else who stands where she does.
+    assert all(person.others == () for person in people)
 
 
 def test_people_of_a_copied_photograph_stay_in_one_half(tmp_path: Path) -> None:

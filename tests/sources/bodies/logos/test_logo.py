@@ -54,9 +54,6 @@ def test_unknown_regions_name_the_known_ones(samples: Bodies) -> None:
         select_region(cube(), "chest")
     with pytest.raises(InputError, match="'chest-left' is unknown"):
         select_region(samples, "chest-left")
-
-
-def test_an_empty_region_is_refused() -> None:
     with pytest.raises(InputError, match="no face"):
         select_region(cube(regions={"nothing": np.zeros(6, bool)}), "nothing")
 
@@ -134,23 +131,16 @@ def test_what_stands_in_front_takes_the_ink(tmp_path: Path) -> None:
     assert sorted(set(column.tolist())) == [5, 6, 7, 8, 9] and len(column) == 50
 
 
-def picture(path: Path, dark: bool, transparent: bool) -> Path:
-    """A filled right half: of dark ink on white, or opaque (light) on nothing."""
-    pixels = np.full((40, 40, 4), 255, np.uint8)
-    if transparent:
-        pixels[:, :20, 3] = 0
-    if dark:
-        pixels[:, 20:, :3] = 30
-    Image.fromarray(pixels).save(path)
-    return path
-
-
 @pytest.mark.parametrize(("dark", "transparent"), [(True, False), (False, True), (True, True)])
 def test_ink_is_what_is_dark_or_what_is_opaque(tmp_path: Path, dark: bool, transparent: bool) -> None:
+    """A filled right half: of dark ink on white, or opaque (light) on nothing."""
     vertices, triangles = wall(0.0)
     body = Bodies(vertices[None].astype(np.float32), triangles, np.arange(200) // 2)
-    path = picture(tmp_path / "half.png", dark, transparent)
-    ids = project_mask(body, path, height=1.0, center=(0.75, 0.5))  # ink is 20 wide and 40 high
+    pixels = np.full((40, 40, 4), 255, np.uint8)
+    pixels[:, :20, 3] = 0 if transparent else 255
+    pixels[:, 20:, :3] = 30 if dark else 255
+    Image.fromarray(pixels).save(tmp_path / "half.png")
+    ids = project_mask(body, tmp_path / "half.png", height=1.0, center=(0.75, 0.5))  # ink is 20 wide and 40 high
     assert len(ids) == 50 and (ids % 10 >= 5).all()
 
 
@@ -158,12 +148,8 @@ def test_pictures_that_cannot_be_stamped(tmp_path: Path, samples: Bodies) -> Non
     Image.new("L", (8, 8), 255).save(tmp_path / "white.png")
     (tmp_path / "broken.png").write_bytes((tmp_path / "white.png").read_bytes()[:40])
     (tmp_path / "text.png").write_text("hello")
-    for name, says in (
-        ("white", "no ink"),
-        ("broken", "not a readable"),
-        ("text", "not a readable"),
-        ("gone", "no such"),
-    ):
+    refused = {"white": "no ink", "broken": "not a readable", "text": "not a readable", "gone": "no such"}
+    for name, says in refused.items():
         with pytest.raises(InputError, match=rf"{name}\.png.*{says}"):
             project_mask(samples, tmp_path / f"{name}.png")
 

@@ -7,8 +7,7 @@ from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
-from cloak_core.sources.bodies.people.samples import sample_bodies
-from tests.sources.bodies.solids import CUBE, CUBE_FACES, cube, is_closed, polygons, sphere
+from tests.sources.bodies.solids import CUBE, CUBE_FACES, cube, is_closed, sphere
 
 
 def test_counts_of_the_papers_mesh() -> None:
@@ -31,15 +30,6 @@ def test_triangle_meshes_split_one_to_four() -> None:
     assert np.array_equal(parent, np.repeat(np.arange(12), 4))
     assert is_closed(divided.triangles)
     assert np.allclose(face_areas(divided), np.repeat(face_areas(triangles) / 4, 4))
-
-
-def test_parents_of_triangles_that_stand_for_polygons() -> None:
-    """A scene that stores no loops: parents are polygons all the same."""
-    body = cube()
-    bare = Bodies(body.vertices, body.triangles, body.triangle_face)
-    divided, parent = subdivide(bare)
-    assert np.array_equal(parent, np.repeat(body.triangle_face, 4))
-    assert np.allclose(np.bincount(parent, weights=face_areas(divided)), 1)
 
 
 def test_colours_regions_and_names_follow_the_parent() -> None:
@@ -73,14 +63,6 @@ def test_texture_coordinates_follow_across_a_seam() -> None:
         assert np.allclose(divided.uv[divided.triangle_uv[mine]], np.stack([local @ u, local @ v], axis=-1))
 
 
-def test_all_poses_move_alike() -> None:
-    body = sample_bodies("unseen").select_poses([0, 3])
-    divided, _ = subdivide(body)
-    assert np.array_equal(divided.vertices[:, : body.vertex_count], body.vertices)
-    alone, _ = subdivide(body.select_poses([1]))
-    assert np.array_equal(divided.vertices[1], alone.vertices[0])
-
-
 @given(columns=st.integers(3, 7), rows=st.integers(1, 5), levels=st.integers(0, 3))
 @settings(max_examples=25)
 def test_closed_bodies_stay_closed_and_keep_their_corners(columns: int, rows: int, levels: int) -> None:
@@ -95,14 +77,6 @@ def test_closed_bodies_stay_closed_and_keep_their_corners(columns: int, rows: in
     assert divided.vertex_count - int(divided.loop_total.sum()) // 2 + divided.face_count == 2
     # Children lie side by side, in their parents' order.
     assert (np.diff(parent) >= 0).all() and parent[-1] == body.face_count - 1
-
-
-def test_flat_polygons_keep_their_area() -> None:
-    pentagon = [[np.cos(a), np.sin(a), 0] for a in np.linspace(0, 2 * np.pi, 6)[:-1]]
-    body = polygons(np.array(pentagon), [[0, 1, 2, 3, 4]])
-    divided, parent = subdivide(body)
-    assert divided.face_count == 5 and (parent == 0).all()
-    assert face_areas(divided).sum() == pytest.approx(face_areas(body).sum(), rel=1e-6)
 
 
 @pytest.mark.parametrize("levels", [-1, 7])

@@ -3,9 +3,8 @@ import pytest
 
 from cloak_core.core.geometry import face_areas, outward_parts
 from cloak_core.core.logo import select_region
-from cloak_core.exchange.scenes import read_scene, write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.people.samples import DATA, sample_bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from tests.sources.bodies.solids import is_closed
 
 
@@ -27,32 +26,11 @@ def test_bodies_are_closed_outward_and_stand_on_the_ground() -> None:
     assert 1.45 < (high - low).min() and (high - low).max() < 1.95
 
 
-def test_every_body_is_another() -> None:
-    """Unseen bodies differ in shape too: their edges are longer or shorter than any training body's."""
-    bodies = sample_bodies()
-    quads = bodies.loop_vertices.reshape(-1, 4)
-    lengths = np.linalg.norm(bodies.vertices[:, quads[:, 0]] - bodies.vertices[:, quads[:, 1]], axis=2)
-    change = np.abs(lengths[:, None] - lengths[None]).sum(axis=2) / lengths.sum(axis=1)[:, None]
-    assert change[~np.eye(len(change), dtype=bool)].min() > 0.02
-
-
 @pytest.mark.slow
 def test_regions() -> None:
     bodies = sample_bodies()
-    wanted = [
-        "chest",
-        "belly",
-        "back",
-        "thighs",
-        "shins",
-        "arms",
-        "forearms",
-        "shirt",
-        "trousers",
-        "head",
-        "hands",
-        "feet",
-    ]
+    wanted = ["chest", "belly", "back", "thighs", "shins", "arms", "forearms", "shirt", "trousers"]
+    wanted += ["head", "hands", "feet"]
     assert set(wanted) | {"front"} <= bodies.regions.keys()
     ids = select_region(bodies, "chest+thighs")
     for pose in range(bodies.pose_count):
@@ -63,28 +41,6 @@ def test_regions() -> None:
     left = bodies.vertices[0][bodies.loop_vertices.reshape(-1, 4)].mean(axis=1)[:, 0] > 0
     for name in wanted:
         assert abs(np.mean(left[bodies.regions[name]]) - 0.5) < 0.03, name
-
-
-def test_outfits_are_plain_and_different() -> None:
-    bodies = sample_bodies()
-    assert bodies.outfit_count >= 6
-    chest, thighs, face = (np.flatnonzero(bodies.regions[n])[5] for n in ("chest", "thighs", "hands"))
-    for part in (chest, thighs, face):
-        assert len(np.unique(bodies.face_colors[:, part], axis=0)) == bodies.outfit_count
-    for outfit in bodies.face_colors:
-        assert len(np.unique(outfit[bodies.regions["chest"]], axis=0)) == 1
-
-
-def test_the_file_is_small_enough_to_ship() -> None:
-    assert DATA.stat().st_size < 4e6
-
-
-def test_they_survive_a_scene_package(tmp_path) -> None:
-    bodies = sample_bodies("unseen")
-    again = read_scene(write_scene(tmp_path / "scene", bodies))
-    assert again.topology == bodies.topology
-    assert np.array_equal(again.vertices, bodies.vertices)
-    assert np.array_equal(again.triangles, bodies.triangles)
 
 
 def test_an_unknown_split_is_refused() -> None:
