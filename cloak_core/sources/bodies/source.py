@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.logo import Cover
@@ -64,8 +63,7 @@ class BodyPlan:
             return random.uniform(values.low, values.high, count)
 
         jitter = spread(Range(-views.angle_jitter, views.angle_jitter))
-        outfits = self.outfit_count if views.outfits == "random" else 1
-        outfit = random.integers(outfits, size=count)
+        outfit = random.integers(self.outfit_count if views.outfits == "random" else 1, size=count)
         turn = random.uniform(0, views.angles.width, count)
         return {
             "pose": dealt.member,
@@ -93,16 +91,11 @@ class BodySource:
 
         on_cloth: whether some pattern needs views that tell where on a cloth places lie; others then share them.
         """
-        self.on_cloth = on_cloth
-        self.bodies = bodies
-        self.settings = settings
-        self.viewpoint = viewpoint
-        self.plan = plan
+        self.bodies, self.settings, self.viewpoint = bodies, settings, viewpoint
+        self.plan, self.on_cloth = plan, on_cloth
         self._caches: dict[bool, ViewCache] = {}
         if plan is not None:
-            self.directions = plan.directions
-            self.members = plan.members
-            self.is_fresh = plan.is_fresh
+            self.directions, self.members, self.is_fresh = plan.directions, plan.members, plan.is_fresh
 
     @classmethod
     def trained(cls, bodies: Bodies, settings: ViewSettings, device: torch.device | str = "cpu") -> BodySource:
@@ -113,7 +106,7 @@ class BodySource:
         return cls(bodies, render, settings.camera(0.0, 0.0, 1.0), plan)
 
     def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """See `Source`: as the plan of a training does."""
+        """See `Source`."""
         return self.plan.draw(dealt, random)
 
     def planned(self, plan: BodyPlan | None, viewpoint: Camera) -> BodySource:
@@ -160,9 +153,11 @@ class BodySource:
             for pose in range(self.members):
                 if self.views_for(pattern.needs_cloth).bake(pose, camera, faces).map.height:
                     return
+        largest = float(np.ptp(self.bodies.vertices, axis=1).max())
+        size = f"the body is {largest:.3g} m large, people are about 1.7 (in the scene's file, is a unit a metre?)"
         raise InputError(
             f"the logo: none of its {len(faces)} faces is seen from the training angles {settings.angles}"
-            + _unusual_size(self.bodies.vertices)
+            + ("" if 0.5 <= largest <= 3 else f"; {size}")
         )
 
 
@@ -172,11 +167,3 @@ def check_topology(cover: Cover, bodies: Bodies) -> Cover:
         made = f"the logo was made for topology {cover.topology}, this scene has {bodies.topology}"
         raise InputError(f"scene '{bodies.name}': {made}")
     return cover
-
-
-def _unusual_size(vertices: Float32[np.ndarray, "P V 3"]) -> str:
-    """Say how large the bodies are where no person is: a file in other units; "" where they are as large as people."""
-    largest = float(np.ptp(vertices, axis=1).max())
-    if 0.5 <= largest <= 3:
-        return ""
-    return f"; the body is {largest:.3g} m large, people are about 1.7 (in the scene's file, is a unit a metre?)"

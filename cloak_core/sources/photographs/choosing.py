@@ -9,7 +9,7 @@ from jaxtyping import Bool
 
 from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.landmarks import LIMBS, SEEN, Landmarks, read_landmarks
-from cloak_core.sources.photographs.masks import check_mask, decode_mask, numbers
+from cloak_core.sources.photographs.masks import draw_mask, numbers, read_mask
 from cloak_core.sources.photographs.person import Box
 
 LEAST_HEIGHT = 96
@@ -44,14 +44,12 @@ def choose(
     chosen: list[Dressable] = []
     left_out: list[tuple[str, str]] = []
     for number, (what, annotation) in enumerate(zip(names, annotations, strict=True)):
-        segmentation = annotation.get("segmentation")
-        if segmentation:
-            check_mask(segmentation, size[1], size[0], what)
+        segmentation, box = annotation.get("segmentation"), boxes[number]
+        outline = read_mask(segmentation, size[1], size[0], what) if segmentation else None
         landmarks = read_landmarks(annotation, what)
-        box = boxes[number]
-        reason = why_left_out(annotation, landmarks, box, size)
-        mask = None if reason else decode_mask(segmentation, size[1], size[0], what)
-        if mask is not None:
+        reason = _why_left_out(annotation, landmarks, box, size)
+        if not reason:
+            mask = draw_mask(outline, size[1], size[0])
             reason = _why_mask(mask, landmarks)
         if reason:
             left_out.append((what, reason))
@@ -72,7 +70,7 @@ def _box(annotation: dict, width: int, height: int, what: str) -> Box:
     return x, y, x + w, y + h
 
 
-def why_left_out(annotation: dict, landmarks: Landmarks | None, box: Box, size: tuple[int, int]) -> str:
+def _why_left_out(annotation: dict, landmarks: Landmarks | None, box: Box, size: tuple[int, int]) -> str:
     """Say why a person cannot be dressed, whatever her mask covers; "" where nothing speaks against it."""
     if annotation.get("iscrowd"):
         return "crowd"

@@ -4,31 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool
+from PIL import Image, ImageDraw
 
 from cloak_core.files.errors import InputError
 
 MAX_SIDE = 1 << 14
 
 
-def decode_mask(segmentation: object, height: int, width: int, what: str) -> Bool[np.ndarray, "h w"]:
-    """Decode a COCO segmentation into a mask of the picture's size.
+Outline = list[np.ndarray] | list[int]
+"""Polygons [N, 2] of x, y, or run lengths by column, zeros first."""
+
+
+def read_mask(segmentation: object, height: int, width: int, what: str) -> Outline:
+    """Read a COCO segmentation, without drawing it: a tenth of the time.
 
     segmentation: a list of polygons [x, y, x, y, ...], or {"size": [h, w], "counts": list or packed string}. `what`
     names annotation and file in the `InputError` that a broken or misplaced segmentation raises.
     """
     if isinstance(segmentation, list):
-        return _fill_polygons(_polygons(segmentation, height, width, what), height, width)
-    counts = _run_lengths(segmentation, height, width, what)
-    values = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
-    return values.reshape(width, height).T.copy()
+        return _polygons(segmentation, height, width, what)
+    return _run_lengths(segmentation, height, width, what)
 
 
-def check_mask(segmentation: object, height: int, width: int, what: str) -> None:
-    """Check a COCO segmentation as `decode_mask` does, without drawing it: a tenth of the time."""
-    if isinstance(segmentation, list):
-        _polygons(segmentation, height, width, what)
-    else:
-        _run_lengths(segmentation, height, width, what)
+def draw_mask(outline: Outline, height: int, width: int) -> Bool[np.ndarray, "h w"]:
+    """Draw a segmentation as a mask of the picture's size."""
+    if outline and isinstance(outline[0], int):
+        values = np.repeat(np.arange(len(outline)) % 2 == 1, outline)
+        return values.reshape(width, height).T.copy()
+    picture = Image.new("1", (width, height))
+    draw = ImageDraw.Draw(picture)
+    for points in outline:
+        draw.polygon([tuple(point) for point in points.tolist()], fill=1)
+    return np.array(picture)
 
 
 def _run_lengths(segmentation: object, height: int, width: int, what: str) -> list[int]:
@@ -68,7 +75,6 @@ def _unpack_counts(packed: str, what: str) -> list[int]:
 
 
 def _polygons(polygons: list, height: int, width: int, what: str) -> list[np.ndarray]:
-    """Read polygons [N, 2] of x, y."""
     checked = []
     for polygon in polygons:
         if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
@@ -79,16 +85,6 @@ def _polygons(polygons: list, height: int, width: int, what: str) -> list[np.nda
             raise InputError(f"{what}: a polygon lies outside the photograph ({width} x {height})")
         checked.append(points)
     return checked
-
-
-def _fill_polygons(polygons: list[np.ndarray], height: int, width: int) -> Bool[np.ndarray, "h w"]:
-    from PIL import Image, ImageDraw
-
-    picture = Image.new("1", (width, height))
-    draw = ImageDraw.Draw(picture)
-    for points in polygons:
-        draw.polygon([tuple(point) for point in points.tolist()], fill=1)
-    return np.array(picture)
 
 
 def numbers(values: object, what: str) -> np.ndarray:

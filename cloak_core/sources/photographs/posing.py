@@ -30,6 +30,8 @@ LIMBS = {
     "thigh": ("hip", "knee"),
     "shin": ("knee", "ankle"),
 }
+Joints = dict[str, Float[np.ndarray, " 3"]]
+"""Places in view space, by the names of `landmarks.NAMES`."""
 _BENT = {"arm": 0.0, "forearm": 1.0, "thigh": 1.0, "shin": -1.0}
 """Which way a limb leans where nobody tells its depth: forwards or backwards."""
 
@@ -60,14 +62,15 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
     widths: how much wider than the rig's each segment is, across its length (1 where absent).
     """
     widths = widths or {}
-    scale = _pixels_per_metre(landmarks, rig)
-    at = _joints_in_view(landmarks, rig, scale)
-    middle = lambda joint: (at[f"l_{joint}"] + at[f"r_{joint}"]) / 2
-    rest_middle = lambda joint: (rig.joints[f"l_{joint}"] + rig.joints[f"r_{joint}"]) / 2
+    depth = np.zeros(len(INDEX)) if landmarks.depth is None else landmarks.depth
+    seen = dict(zip(INDEX, np.column_stack([landmarks.xy * (1, -1), depth]), strict=True))
+    scale = _pixels_per_metre(landmarks, seen, rig)
+    at = _joints_in_view(landmarks, seen, rig, scale)
+    middle = lambda joints, name: (joints[f"l_{name}"] + joints[f"r_{name}"]) / 2
     found: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
     turned: dict[str, np.ndarray] = {}
-    along = middle("shoulder") - middle("hip")
-    rest_along = rest_middle("shoulder") - rest_middle("hip")
+    along = middle(at, "shoulder") - middle(at, "hip")
+    rest_along = middle(rig.joints, "shoulder") - middle(rig.joints, "hip")
     for segment, joint in (("pelvis", "hip"), ("chest", "shoulder")):
         across = at[f"l_{joint}"] - at[f"r_{joint}"]
         rest_across = np.linalg.norm(rig.joints[f"l_{joint}"] - rig.joints[f"r_{joint}"])
@@ -76,7 +79,7 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
         turned[segment] = np.stack([np.cross(up, ahead), up, ahead], axis=1)
         width = widths.get(segment, 1.0)
         columns = (across / rest_across * width, along / rest_along[1], ahead * scale * width)
-        found[segment] = (np.stack(columns, axis=1), middle(joint), rest_middle(joint))
+        found[segment] = (np.stack(columns, axis=1), middle(at, joint), middle(rig.joints, joint))
     for side in "lr":
         parent = {"arm": "chest", "forearm": f"{side}_arm", "thigh": "pelvis", "shin": f"{side}_thigh"}
         for limb, (start, end) in LIMBS.items():
@@ -85,15 +88,17 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
             posed = at[f"{side}_{end}"] - at[f"{side}_{start}"]
             hanging = unit(turned[parent[limb]] @ rest)
             turned[name] = smallest_turn(hanging, _unit(posed, hanging)) @ turned[parent[limb]]
-            stretched = _stretch(
-                unit(rest), np.linalg.norm(posed) / np.linalg.norm(rest), scale * widths.get(name, 1.0)
-            )
+            # Along itself a limb is as long as its landmarks say, across as wide as its part of the mask.
+            axis = np.outer(unit(rest), unit(rest))
+            length = np.linalg.norm(posed) / np.linalg.norm(rest)
+            stretched = scale * widths.get(name, 1.0) * (np.eye(3) - axis) + length * axis
             found[name] = (turned[name] @ stretched, at[f"{side}_{start}"], rig.joints[f"{side}_{start}"])
-        hand, wrist = f"{side}_hand", f"{side}_wrist"
-        found[hand] = (_hand(landmarks, at, rig, side, turned[f"{side}_forearm"]) * scale, at[wrist], rig.joints[wrist])
-        foot = _foot(landmarks, at, side, turned["pelvis"], scale)
-        found[f"{side}_foot"] = (foot * scale, at[f"{side}_ankle"], rig.joints[f"{side}_ankle"])
-    found["head"] = _head(landmarks, at, rig, turned["chest"], found["chest"], scale)
+        for part, end, turn in (
+            ("hand", "wrist", _hand(landmarks, seen, at, rig, side, turned[f"{side}_forearm"])),
+            ("foot", "ankle", _foot(landmarks, seen, side, turned["pelvis"], scale)),
+        ):
+            found[f"{side}_{part}"] = (turn * scale, at[f"{side}_{end}"], rig.joints[f"{side}_{end}"])
+    found["head"] = _head(landmarks, seen, rig, turned["chest"], found["chest"], scale)
     transforms = np.zeros((len(SEGMENTS), 3, 4))
     for number, segment in enumerate(SEGMENTS):
         matrix, place, origin = found[segment]
@@ -113,14 +118,12 @@ def _unit(vector: np.ndarray, otherwise: np.ndarray) -> Float[np.ndarray, " 3"]:
     return unit(vector) if np.linalg.norm(vector) > TINY else otherwise
 
 
-def _stretch(axis: np.ndarray, along: Number, across: Number) -> Float[np.ndarray, "3 3"]:
-    outer = np.outer(axis, axis)
-    return across * (np.eye(3) - outer) + along * outer
+def _pixels_per_metre(landmarks: Landmarks, seen: Joints, rig: Rig) -> float:
+    """From the lengths of trunk and limbs: their median where depth is known, else nearly the largest of them.
 
-
-def _pixels_per_metre(landmarks: Landmarks, rig: Rig) -> float:
-    """From the lengths of trunk and limbs: their median where depth is known, else nearly the largest of them."""
-    joints = {name: _view(landmarks, name) for name in INDEX}
+    Weak perspective: one scale for the whole person. Without depth a limb looks shorter the more it points at the
+    camera and never longer, so the longest ones tell the scale; not the very longest, whose landmarks may be wrong.
+    """
     ratios = []
     for side in "lr":
         for start, end in (*LIMBS.values(), ("hip", "shoulder")):
@@ -128,31 +131,20 @@ def _pixels_per_metre(landmarks: Landmarks, rig: Rig) -> float:
             if min(landmarks.visibility[INDEX[one]], landmarks.visibility[INDEX[other]]) < SEEN:
                 continue
             rest = np.linalg.norm(rig.joints[one] - rig.joints[other])
-            ratios.append(np.linalg.norm(joints[one] - joints[other]) / rest)
+            ratios.append(np.linalg.norm(seen[one] - seen[other]) / rest)
     return max(float(np.percentile(ratios, 50 if landmarks.depth is not None else 75)), LEAST_SCALE)
 
 
-def _view(landmarks: Landmarks, name: str) -> Float[np.ndarray, " 3"]:
-    number = INDEX[name]
-    depth = 0.0 if landmarks.depth is None else landmarks.depth[number]
-    return np.array([landmarks.xy[number, 0], -landmarks.xy[number, 1], depth])
-
-
-def _joints_in_view(landmarks: Landmarks, rig: Rig, scale: Number) -> dict[str, Float[np.ndarray, " 3"]]:
+def _joints_in_view(landmarks: Landmarks, seen: Joints, rig: Rig, scale: Number) -> Joints:
     """The joints' places, in the picture exactly the landmarks', with depths that give limbs possible lengths."""
-    seen = {name: _view(landmarks, name) for name in INDEX}
-    at: dict[str, np.ndarray] = {}
+    at: Joints = {}
     nose = seen["nose"][0] - (seen["l_shoulder"] + seen["r_shoulder"])[0] / 2
     faces = 1.0 if seen["l_shoulder"][0] >= seen["r_shoulder"][0] else -1.0
     tells_depth = landmarks.depth is not None
     for joint in ("hip", "shoulder"):
         left, right = f"l_{joint}", f"r_{joint}"
-        across = _with_length(
-            seen[left] - seen[right],
-            np.linalg.norm(rig.joints[left] - rig.joints[right]) * scale,
-            -np.sign(nose),
-            not tells_depth,
-        )
+        length = np.linalg.norm(rig.joints[left] - rig.joints[right]) * scale
+        across = _with_length(seen[left] - seen[right], length, -np.sign(nose), not tells_depth)
         middle = (seen[left] + seen[right]) / 2
         at[left], at[right] = middle + across / 2, middle - across / 2
     for side in "lr":
@@ -162,14 +154,16 @@ def _joints_in_view(landmarks: Landmarks, rig: Rig, scale: Number) -> dict[str, 
             if landmarks.visibility[INDEX[other]] <= 0 and end in ("elbow", "wrist"):
                 at[other] = at[one] + np.array([0.0, -rest * scale, 0.0])  # hangs down, out of sight
                 continue
-            posed = _with_length(seen[other] - seen[one], rest * scale, _BENT[limb] * faces)
-            at[other] = at[one] + posed
-        if not tells_depth:
-            _bring_forward(at, side, faces, scale)
+            at[other] = at[one] + _with_length(seen[other] - seen[one], rest * scale, _BENT[limb] * faces)
+        left, right = sorted((at["l_shoulder"][0], at["r_shoulder"][0]))
         for joint in ("elbow", "wrist"):
+            place = at[f"{side}_{joint}"]
+            # A forearm that crosses the trunk lies before it, whoever measured no depth.
+            if not tells_depth and left < place[0] < right and place[1] > at["l_hip"][1]:
+                place[2] = max(place[2], 0.16 * scale) if faces > 0 else place[2] - 0.2 * scale
             # What the photograph does not show lies behind what it shows.
             if landmarks.visibility[INDEX[f"{side}_{joint}"]] < HIDDEN:
-                at[f"{side}_{joint}"][2] = min(at[f"{side}_{joint}"][2], at["l_hip"][2], at["r_hip"][2]) - 0.25 * scale
+                place[2] = min(place[2], at["l_hip"][2], at["r_hip"][2]) - 0.25 * scale
     return at
 
 
@@ -179,21 +173,11 @@ def _with_length(vector: np.ndarray, length: Number, sign: Number, exact: bool =
     least, most = (0.97, 1.2) if exact else LENGTHS
     wanted = np.clip(np.linalg.norm(vector), least * length, most * length)
     depth = np.sqrt(max(wanted**2 - flat**2, 0.0))
-    sign = np.sign(vector[2]) or sign
-    return np.array([vector[0], vector[1], sign * depth])
-
-
-def _bring_forward(at: dict[str, np.ndarray], side: str, faces: Number, scale: Number) -> None:
-    """A forearm that crosses the trunk lies before it, whoever measured no depth."""
-    left, right = sorted((at["l_shoulder"][0], at["r_shoulder"][0]))
-    for joint in ("elbow", "wrist"):
-        place = at[f"{side}_{joint}"]
-        if left < place[0] < right and place[1] > at["l_hip"][1]:
-            place[2] = max(place[2], 0.16 * scale) if faces > 0 else place[2] - 0.2 * scale
+    return np.array([vector[0], vector[1], (np.sign(vector[2]) or sign) * depth])
 
 
 def _head(
-    landmarks: Landmarks, at: dict, rig: Rig, chest: np.ndarray, torso: tuple, scale: Number
+    landmarks: Landmarks, seen: Joints, rig: Rig, chest: np.ndarray, torso: tuple, scale: Number
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Turned to where the ears (or the nose) are, begun at the neck."""
     matrix, place, origin = torso
@@ -202,33 +186,28 @@ def _head(
     known = known[:2] if len(known) == 3 else known
     if not known:
         return chest * scale, neck, rig.joints["neck"]
-    middle = np.mean([landmarks.xy[INDEX[name]] for name in known], axis=0)
-    towards = np.array([middle[0], -middle[1], neck[2]]) - neck
+    towards = np.append(np.mean([seen[name][:2] for name in known], axis=0), neck[2]) - neck
     rest = rig.joints["head"] + np.array([0.0, 0.03, 0.02]) - rig.joints["neck"]
     size = np.clip(np.linalg.norm(towards) / np.linalg.norm(rest), 0.8 * scale, 1.25 * scale)
     return smallest_turn(unit(chest @ rest), _unit(towards, UPWARD)) @ chest * size, neck, rig.joints["neck"]
 
 
-def _foot(landmarks: Landmarks, at: dict, side: str, pelvis: np.ndarray, scale: Number) -> Float[np.ndarray, "3 3"]:
+def _foot(landmarks: Landmarks, seen: Joints, side: str, pelvis: np.ndarray, scale: Number) -> Float[np.ndarray, "3 3"]:
     """Turned to where heel and toes are; without them, ahead."""
-    heel, toe = INDEX[f"{side}_heel"], INDEX[f"{side}_toe"]
-    if min(landmarks.visibility[[heel, toe]]) < SEEN:
-        return pelvis
-    towards = _view(landmarks, f"{side}_toe") - _view(landmarks, f"{side}_heel")
-    if np.linalg.norm(towards) < 0.02 * scale:
+    heel, toe = f"{side}_heel", f"{side}_toe"
+    towards = seen[toe] - seen[heel]
+    if min(landmarks.visibility[[INDEX[heel], INDEX[toe]]]) < SEEN or np.linalg.norm(towards) < 0.02 * scale:
         return pelvis
     return smallest_turn(pelvis @ FORWARD, unit(towards)) @ pelvis
 
 
-def _hand(landmarks: Landmarks, at: dict, rig: Rig, side: str, forearm: np.ndarray) -> Float[np.ndarray, "3 3"]:
+def _hand(
+    landmarks: Landmarks, seen: Joints, at: Joints, rig: Rig, side: str, forearm: np.ndarray
+) -> Float[np.ndarray, "3 3"]:
     """Turned to where the index finger is; without it, in line with the forearm."""
-    number = INDEX[f"{side}_hand"]
-    if landmarks.visibility[number] < HIDDEN:
+    wrist = at[f"{side}_wrist"]
+    towards = np.append(seen[f"{side}_hand"][:2], wrist[2]) - wrist
+    if landmarks.visibility[INDEX[f"{side}_hand"]] < HIDDEN or np.linalg.norm(towards) < 2:
         return forearm
-    towards = (
-        np.array([landmarks.xy[number, 0], -landmarks.xy[number, 1], at[f"{side}_wrist"][2]]) - at[f"{side}_wrist"]
-    )
     rest = rig.joints[f"{side}_wrist"] - rig.joints[f"{side}_elbow"]
-    if np.linalg.norm(towards) < 2:
-        return forearm
     return smallest_turn(unit(forearm @ rest), unit(towards)) @ forearm

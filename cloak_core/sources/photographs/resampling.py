@@ -34,6 +34,7 @@ class Kernel:
     def of(start: float, side: float, size: int, count: int, softness: float = 1.0, mirror: bool = False) -> Kernel:
         """Make a triangle filter: `size` pixels from `start` over `side` of `count` pixels, wider by `softness`."""
         scale = side / size
+        # Made smaller, a pixel averages all that it covers (else it would alias); made larger, it interpolates.
         reach = max(scale, 1.0) * softness
         centre = start + (np.arange(size) + 0.5) * scale - 0.5
         if mirror:
@@ -45,7 +46,11 @@ class Kernel:
 
     @staticmethod
     def _within(column: Int64[np.ndarray, "n k"], weight: Float[np.ndarray, "n k"], count: int) -> Kernel:
-        """Drop neighbours that are not within 0 .. count - 1: rows begin where there are some instead."""
+        """Drop neighbours that are not within 0 .. count - 1: rows begin where there are some instead.
+
+        So the loops need no test of bounds. What is dropped is not made up for: a pixel at the photograph's border shows
+        that share of the padding.
+        """
         taps = column.shape[1]
         first = np.clip(column[:, 0], 0, max(count - taps, 0))
         moved = np.zeros((len(column), min(taps, count)), np.float32)
@@ -72,7 +77,7 @@ class Kernel:
 
     @cached_property
     def dense(self) -> Float32[Tensor, "n count"]:
-        """The same as a matrix."""
+        """The same as a matrix, for devices on which products are cheaper than gathers."""
         matrix = np.zeros((len(self.first), self.count), np.float32)
         rows = np.arange(len(self.first))[:, None]
         np.add.at(matrix, (rows, self.first[:, None] + np.arange(self.weight.shape[1])), self.weight)
@@ -183,7 +188,12 @@ _TOGETHER = 8
 
 @loop
 def _resample(picture, y_first, y_weight, x_first, x_weight, result):
-    """picture: [H, W * 3]; result: [h, w, 3]. Down first, then across, some rows of the image at once."""
+    """picture: [H, W * 3]; result: [h, w, 3]. Down first, then across, some rows of the image at once.
+
+    Rows of the picture lie side by side in memory, so the filter down adds whole rows. Before the one across, the rows
+    of `_TOGETHER` pixels of the image are laid beside each other: its taps, which differ from pixel to pixel, are then
+    the same for one vector register.
+    """
     low, high = 3 * x_first.min(), 3 * (x_first.max() + x_weight.shape[1])
     line = np.empty(picture.shape[1], np.float32)
     lines = np.zeros((picture.shape[1], _TOGETHER), np.float32)
@@ -214,7 +224,7 @@ def _resample(picture, y_first, y_weight, x_first, x_weight, result):
 
 @loop
 def _spread(upstream, y_first, y_weight, x_first, x_weight, result):
-    """upstream: [h, w, 3]; result: [H, W * 3], zeros. Across first, then down, some rows of the image at once."""
+    """upstream: [h, w, 3]; result: [H, W * 3], zeros. The transpose of `_resample`: across first, then down."""
     low, high = 3 * x_first.min(), 3 * (x_first.max() + x_weight.shape[1])
     lines = np.empty((result.shape[1], _TOGETHER), np.float32)
     given = np.zeros((3, _TOGETHER), np.float32)

@@ -11,7 +11,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.library import wear
 from cloak_core.sources.photographs import reader
 from cloak_core.sources.photographs.fits import fit_people, fits_well, those_who_fit
-from cloak_core.sources.photographs.masks import decode_mask
+from cloak_core.sources.photographs.masks import draw_mask, read_mask
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import SIZE, edit, photograph, write_people
 from tests.studies.test_wearing import BodyDetector
@@ -19,8 +19,12 @@ from tests.studies.test_wearing import BodyDetector
 pytestmark = pytest.mark.slow
 
 
+def decode_mask(segmentation, height, width):
+    return draw_mask(read_mask(segmentation, height, width, "it"), height, width)
+
+
 def test_run_lengths_go_by_column_and_begin_with_zeros():
-    mask = decode_mask({"size": [2, 3], "counts": [1, 2, 3]}, 2, 3, "it")
+    mask = decode_mask({"size": [2, 3], "counts": [1, 2, 3]}, 2, 3)
     assert mask.tolist() == [[False, True, False], [True, False, False]]
 
 
@@ -29,12 +33,12 @@ def test_packed_run_lengths_are_pycocotools(seed):
     tools = pytest.importorskip("pycocotools.mask")
     mask = np.random.default_rng(seed).random((37, 53)) < (0.5 if seed else 0.01)
     packed = tools.encode(np.asfortranarray(mask.astype(np.uint8)))
-    decoded = decode_mask({"size": [37, 53], "counts": packed["counts"].decode()}, 37, 53, "it")
+    decoded = decode_mask({"size": [37, 53], "counts": packed["counts"].decode()}, 37, 53)
     assert (decoded == mask).all()
 
 
 def test_polygons_fill_what_they_enclose():
-    mask = decode_mask([[2, 2, 8, 2, 8, 6, 2, 6]], 10, 12, "it")
+    mask = decode_mask([[2, 2, 8, 2, 8, 6, 2, 6]], 10, 12)
     assert mask[2:7, 2:9].all() and mask.sum() == 35
 
 

@@ -29,9 +29,13 @@ def read_palette(path: str | os.PathLike) -> Float[np.ndarray, "P 3"]:
     lines = read_text(path, MAX_BYTES).removeprefix("\ufeff").splitlines()
     gimp = bool(lines) and lines[0].strip() == "GIMP Palette"
     colors = []
-    for number, line in enumerate(lines[1:] if gimp else lines, 2 if gimp else 1):
+    for number, line in enumerate(lines, 1):
         text = line.strip()
-        if text and not _is_aside(text, gimp):
+        if gimp:
+            is_aside = number == 1 or text.startswith("#") or text.partition(":")[0] in ("Name", "Columns")
+        else:
+            is_aside = text == "#" or text.startswith(("# ", ";"))
+        if text and not is_aside:
             colors.append(_color(text, gimp, f"{path}:{number}"))
     if not colors:
         raise InputError(f"{path}: no colour in this palette")
@@ -50,12 +54,6 @@ def nearest_in_palette(
         part = colors[start : start + 256].astype(np.float64)
         nearest[start : start + 256] = palette[(square - 2 * part @ palette.T).argmin(axis=1)]
     return nearest, np.abs(nearest - colors).max(axis=1, initial=0) > TOLERANCE
-
-
-def _is_aside(text: str, gimp: bool) -> bool:
-    if gimp:
-        return text.startswith("#") or text.partition(":")[0] in ("Name", "Columns")
-    return text == "#" or text.startswith(("# ", ";"))
 
 
 def _color(text: str, gimp: bool, place: str) -> tuple[float, float, float]:
