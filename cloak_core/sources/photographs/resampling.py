@@ -48,8 +48,8 @@ class Kernel:
     def _within(column: Int64[np.ndarray, "n k"], weight: Float[np.ndarray, "n k"], count: int) -> Kernel:
         """Drop neighbours that are not within 0 .. count - 1: rows begin where there are some instead.
 
-        So the loops need no test of bounds. What is dropped is not made up for: a pixel at the photograph's border shows
-        that share of the padding.
+        So the loops need no test of bounds. What is dropped is not made up for: at the border of the photograph a pixel
+        shows that share of the padding.
         """
         taps = column.shape[1]
         first = np.clip(column[:, 0], 0, max(count - taps, 0))
