@@ -12,7 +12,7 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.places import Places, corner_places
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.products.layout import Layout, inside
+from cloak_core.products.layout import Layout, signed_areas
 from cloak_core.sources.bodies.meshes.textures import color_squares, to_bytes
 
 MAX_PIXELS = 400 << 20
@@ -68,25 +68,26 @@ def paint(
     painted = np.zeros(image.shape[:2], bool)
     height, width = painted.shape
     corners = layout.corners * dots
-    places = corner_places(bodies)[:, :, layout.triangles].transpose(2, 1, 0)
-    low = np.floor(corners.min(axis=1) - 0.5).astype(int)
-    high = np.ceil(corners.max(axis=1) + 0.5).astype(int)
+    on_cloth = corner_places(bodies)[:, :, layout.triangles].transpose(2, 1, 0)
+    # A pixel's weights of the corners are linear in x and y. Triangles without area, or turned over, hold no pixel.
+    linear = np.full((len(corners), 3, 3), -1.0)
+    solid = signed_areas(corners) > 0
+    linear[solid] = np.linalg.inv(np.concatenate([corners[solid], np.ones((solid.sum(), 3, 1))], axis=2))
+    low = np.floor(corners.min(axis=1) - 0.5).astype(int).clip(0)
+    high = np.ceil(corners.max(axis=1) + 0.5).astype(int).clip(None, [width, height])
     found: list[tuple[np.ndarray, ...]] = []
     waiting = 0
-    for number, (triangle, (x0, y0), (x1, y1)) in enumerate(zip(corners, low, high, strict=True)):
-        x = np.arange(max(x0, 0), min(x1, width))
-        y = np.arange(max(y0, 0), min(y1, height))
-        points = np.stack(np.meshgrid(x + 0.5, y + 0.5), axis=-1).reshape(-1, 2)
-        hit = inside(triangle, points)
-        rows, columns = np.nonzero(hit.reshape(len(y), len(x)))
-        across = (points[hit] - triangle[0]) @ np.linalg.pinv(triangle[1:] - triangle[0])
-        at = places[number, 0] + across @ (places[number, 1:] - places[number, 0])
-        found.append((height - 1 - y[rows], x[columns], np.full(len(rows), layout.triangles[number]), at))
-        waiting += len(rows)
+    for number, ((x0, y0), (x1, y1)) in enumerate(zip(low, high, strict=True)):
+        x, y = (axis.ravel() for axis in np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)))
+        weights = np.stack([x + 0.5, y + 0.5, np.ones(len(x))], axis=1) @ linear[number]
+        hit = (weights >= 0).all(axis=1)
+        face = np.full(hit.sum(), bodies.triangle_face[layout.triangles[number]])
+        found.append((height - 1 - y[hit], x[hit], face, weights[hit] @ on_cloth[number]))
+        waiting += len(face)
         if waiting > MOST_TEXELS or number == len(corners) - 1:
-            row, column, of_triangle, at = map(np.concatenate, zip(*found, strict=True))
-            image[row, column] = _shown(pattern, bodies, bodies.triangle_face[of_triangle], at, 1 / dots)
-            painted[row, column] = True
+            rows, columns, face, at = map(np.concatenate, zip(*found, strict=True))
+            image[rows, columns] = _shown(pattern, bodies, face, at, 1 / dots)
+            painted[rows, columns] = True
             found, waiting = [], 0
     return painted
 

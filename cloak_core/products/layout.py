@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Float, Integer
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -228,12 +228,3 @@ def stretches(solid: Float[np.ndarray, "t 3 3"], flat: Float[np.ndarray, "t 3 2"
     edges[~fine] = np.eye(2)
     values = np.linalg.svd(edges @ np.linalg.inv(local), compute_uv=False)
     return np.maximum(values[:, 0], 1 / np.maximum(values[:, 1], 1e-9))
-
-
-def inside(corners: Float[np.ndarray, "3 2"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-    """Tell which points lie in a counter-clockwise triangle or on its border."""
-    result = np.ones(len(points), bool)
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        side = (end - start)[0] * (points[:, 1] - start[1]) - (end - start)[1] * (points[:, 0] - start[0])
-        result &= side >= 0
-    return result

@@ -48,10 +48,16 @@ class Borders:
 def seam_marks(layout: Layout, bodies: Bodies) -> list[Mark]:
     """List the marks of all seams, the two of a name one after the other."""
     borders = find_borders(layout, bodies)
-    marks = []
-    for number, seam in enumerate(_seams(borders)):
-        marks += _marks(borders, seam, _letters(number))
-    return marks
+    sides: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for edge, (low, high) in enumerate(np.sort(borders.ends, axis=1).tolist()):
+        sides[low, high].append(edge)
+    between: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
+    for pair in sides.values():
+        if len(pair) == 2:
+            edge_a, edge_b = sorted(pair, key=lambda edge: (borders.chart[edge], edge))
+            between[int(borders.chart[edge_a]), int(borders.chart[edge_b])].append((edge_a, edge_b))
+    seams = [seam for charts in sorted(between) for seam in _seams(borders, between[charts])]
+    return [mark for number, seam in enumerate(seams) for mark in _marks(borders, seam, _letters(number))]
 
 
 def find_borders(layout: Layout, bodies: Bodies) -> Borders:
@@ -70,46 +76,35 @@ def find_borders(layout: Layout, bodies: Bodies) -> Borders:
     return Borders(chart[border], ends[border], lines[border], lengths[border])
 
 
-def _seams(borders: Borders) -> list[list[tuple[int, int]]]:
-    """Find each seam as its edges in order, an edge being the two border edges that are sewn together."""
-    sides: dict[tuple[int, int], list[int]] = defaultdict(list)
-    for number, (low, high) in enumerate(np.sort(borders.ends, axis=1).tolist()):
-        sides[low, high].append(number)
-    between: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
-    for pair in sides.values():
-        if len(pair) == 2:
-            edge_a, edge_b = sorted(pair, key=lambda edge: (borders.chart[edge], edge))
-            between[int(borders.chart[edge_a]), int(borders.chart[edge_b])].append((edge_a, edge_b))
-    return [path for charts in sorted(between) for path in _paths(borders, between[charts])]
+Seam = list[tuple[int, int, int]]
+"""Edges in order: the two border edges that are sewn together, and the vertex at which the seam comes to them."""
 
 
-def _paths(borders: Borders, edges: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-    """Join the edges into unbroken lines, each from one end to the other (a ring from anywhere)."""
+def _seams(borders: Borders, edges: list[tuple[int, int]]) -> list[Seam]:
+    """Join the edges between two charts into unbroken lines, each from one end to the other (a ring from anywhere)."""
     at: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for edge in edges:
         for vertex in borders.ends[edge[0]].tolist():
             at[vertex].append(edge)
     left = dict.fromkeys(edges)
+    seams = []
     # Ends and crossings first, so that a line is not begun in its middle.
-    starts = sorted(at, key=lambda vertex: (len(at[vertex]) == 2, vertex))
-    paths = []
-    for start in starts:
+    for start in sorted(at, key=lambda vertex: (len(at[vertex]) == 2, vertex)):
         while any(edge in left for edge in at[start]):
-            path = []
+            seam: Seam = []
             vertex = start
-            while True:
-                following = [edge for edge in at[vertex] if edge in left]
-                if not following or (path and len(at[vertex]) != 2):
+            while following := [edge for edge in at[vertex] if edge in left]:
+                if seam and len(at[vertex]) != 2:
                     break
-                path.append(following[0])
+                seam.append((*following[0], vertex))
                 del left[following[0]]
                 vertex = sum(borders.ends[following[0][0]].tolist()) - vertex
-            paths.append(path)
-    return paths
+            seams.append(seam)
+    return seams
 
 
-def _marks(borders: Borders, seam: list[tuple[int, int]], letters: str) -> list[Mark]:
-    lengths = borders.lengths[[edge for edge, _ in seam]]
+def _marks(borders: Borders, seam: Seam, letters: str) -> list[Mark]:
+    lengths = borders.lengths[[edge for edge, _, _ in seam]]
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     count = max(1, round(along[-1] / SPACING))
     marks = []
@@ -117,27 +112,16 @@ def _marks(borders: Borders, seam: list[tuple[int, int]], letters: str) -> list[
         place = along[-1] * (number + 0.5) / count
         step = min(int(np.searchsorted(along, place, side="right")) - 1, len(seam) - 1)
         fraction = (place - along[step]) / max(lengths[step], 1e-12)
-        name = f"{letters}{number + 1}" if count > 1 else letters
-        for edge in seam[step]:
+        *edges, entry = seam[step]
+        for edge in edges:
             # Measured from the same vertex on both sides, whichever way round each triangle goes.
             start, end = borders.lines[edge]
-            ahead = fraction if borders.ends[edge, 0] == _entry(borders, seam, step) else 1 - fraction
+            ahead = fraction if borders.ends[edge, 0] == entry else 1 - fraction
             direction = end - start
             outwards = np.array([direction[1], -direction[0]]) / max(np.linalg.norm(direction), 1e-12)
+            name = f"{letters}{number + 1}" if count > 1 else letters
             marks.append(Mark(name, int(borders.chart[edge]), start + ahead * direction, outwards))
     return marks
-
-
-def _entry(borders: Borders, seam: list[tuple[int, int]], step: int) -> int:
-    """Find the vertex at which a seam comes to its edge of this number."""
-    own = borders.ends[seam[step][0]].tolist()
-    if step > 0:
-        before = borders.ends[seam[step - 1][0]].tolist()
-        return own[0] if own[0] in before else own[1]
-    if len(seam) == 1:
-        return own[0]
-    after = borders.ends[seam[1][0]].tolist()
-    return own[1] if own[0] in after else own[0]
 
 
 def _letters(number: int) -> str:

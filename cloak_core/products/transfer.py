@@ -8,17 +8,16 @@ it, facing the same way.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer
+from jaxtyping import Bool, Float, Float32, Int64, Integer
 from scipy.spatial import KDTree
+from trimesh.triangles import closest_point
 
 from cloak_core.core.geometry import PLACES, area_vectors, face_areas, sum_by_face
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-
-Shares = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Pieces of area: the target face (its position in the result), the logo face below (its position), square metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,22 +49,47 @@ def transfer_logo(
     """
     if colors is not None and len(colors) != len(face_ids):
         raise InputError(f"colours for {len(colors)} faces, but the logo has {len(face_ids)}")
-    moved = align(source, target)
     position = np.full(source.face_count, -1)
     position[face_ids] = np.arange(len(face_ids))
-    ids, shares = logo_under(target, moved, position, reach)
+    above, below = surface(target), surface(align(source, target))
+    is_logo = position[source.triangle_face] >= 0
+    ids, placed = logo_under(above, below, target, position[source.triangle_face], reach)
     if not len(ids):
         raise InputError(f"no face of '{target.name}' lies within {reach:g} m of the logo on '{source.name}'")
-    unplaced, distance = missed(moved, face_ids, target, reach)
+    unplaced, distance = missed(below.part(is_logo), source.triangle_face[is_logo], above, reach)
     areas = face_areas(source)[face_ids]
-    placed = ~np.isin(face_ids, unplaced)
     return Transfer(
         face_ids=ids,
-        colors=None if colors is None else mixed(colors, shares, len(ids)),
-        coverage=float(areas[placed].sum() / areas.sum()),
+        colors=None if colors is None else mixed(colors, *placed, len(ids)),
+        coverage=float(areas[~np.isin(face_ids, unplaced)].sum() / areas.sum()),
         largest_distance=distance,
         unplaced=unplaced,
     )
+
+
+class Surface(NamedTuple):
+    """Triangles of a body in its first pose."""
+
+    corners: Float[np.ndarray, "t 3 3"]
+    areas: Float[np.ndarray, " t"]
+    normals: Float[np.ndarray, "t 3"]
+
+    def part(self, chosen: np.ndarray) -> Surface:
+        """Select triangles."""
+        return Surface(*(values[chosen] for values in self))
+
+    def near(self, others: Surface, margin: float) -> Bool[np.ndarray, " t"]:
+        """Tell which triangles touch the others' bounding box with a margin (metres) around it."""
+        low, high = others.corners.min(axis=(0, 1)) - margin, others.corners.max(axis=(0, 1)) + margin
+        return ((self.corners.max(axis=1) > low) & (self.corners.min(axis=1) < high)).all(axis=1)
+
+
+def surface(bodies: Bodies) -> Surface:
+    """Collect the triangles of the first pose, metres."""
+    vectors, _ = area_vectors(bodies, 0)
+    areas = np.linalg.norm(vectors, axis=1)
+    corners = bodies.vertices[0][bodies.triangles].astype(np.float64)
+    return Surface(corners, areas, vectors / np.maximum(areas, 1e-30)[:, None])
 
 
 def align(source: Bodies, target: Bodies) -> Bodies:
@@ -83,69 +107,51 @@ def align(source: Bodies, target: Bodies) -> Bodies:
     return replace(source, vertices=moved, names=source.names[:1], recorded_topology=source.topology)
 
 
-def logo_under(target: Bodies, source: Bodies, position: np.ndarray, reach: float) -> tuple[np.ndarray, Shares]:
-    """Find the target faces that lie on the logo [L'], and which logo faces lie under them."""
-    triangles, solid = solids(target), solids(source)
-    logo = solid[position[source.triangle_face] >= 0]
-    near, around = within(triangles, logo, reach), within(solid, logo, 3 * reach)
+def logo_under(
+    above: Surface, below: Surface, target: Bodies, logo: Integer[np.ndarray, " t"], reach: float
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Find the target faces that lie on the logo [L'], and what lies under them.
+
+    logo: position in the logo of each triangle `below`, -1 for others. What lies under them comes as pieces of area:
+    the target face (its position in the result), the logo face below (its position), square metres.
+    """
+    on_logo = below.part(logo >= 0)
+    near, around = above.near(on_logo, reach), below.near(on_logo, 3 * reach)
     if not near.any():
         empty = np.zeros(0, np.int64)
         return empty, (empty, empty, np.zeros(0))
-    points = np.einsum("pk,tkc->tpc", PLACES, triangles[near]).reshape(-1, 3)
-    area, normals = sizes(target)
-    nearest = nearest_triangles(points, np.repeat(normals[near], len(PLACES), axis=0), solid[around], reach)
-    face = np.where(nearest.triangle >= 0, position[source.triangle_face[around][nearest.triangle]], -1)
-    weight = np.repeat(area[near] / len(PLACES), len(PLACES))
+    points = np.einsum("pk,tkc->tpc", PLACES, above.corners[near]).reshape(-1, 3)
+    normals = np.repeat(above.normals[near], len(PLACES), axis=0)
+    nearest, _ = nearest_triangles(points, normals, below.corners[around], reach)
+    face = np.where(nearest >= 0, logo[around][nearest], -1)
+    weight = np.repeat(above.areas[near] / len(PLACES), len(PLACES))
     owner = np.repeat(target.triangle_face[near], len(PLACES))
-    on_logo = np.bincount(owner[face >= 0], weights=weight[face >= 0], minlength=target.face_count)
-    ids = np.flatnonzero((on_logo >= 0.5 * sum_by_face(target, area)) & (on_logo > 0)).astype(np.int64)
+    covered = np.bincount(owner[face >= 0], weights=weight[face >= 0], minlength=target.face_count)
+    ids = np.flatnonzero((covered >= 0.5 * sum_by_face(target, above.areas)) & (covered > 0)).astype(np.int64)
     row = np.full(target.face_count, -1)
     row[ids] = np.arange(len(ids))
     use = (face >= 0) & (row[owner] >= 0)
     return ids, (row[owner[use]], face[use], weight[use])
 
 
-def solids(bodies: Bodies) -> Float[np.ndarray, "triangles 3 3"]:
-    """Collect the triangles' corners in the first pose."""
-    return bodies.vertices[0][bodies.triangles].astype(np.float64)
-
-
-def sizes(bodies: Bodies) -> tuple[Float[np.ndarray, " triangles"], Float[np.ndarray, "triangles 3"]]:
-    """Compute the triangles' areas and unit normals in the first pose."""
-    vectors, _ = area_vectors(bodies, 0)
-    area = np.linalg.norm(vectors, axis=1)
-    return area, vectors / np.maximum(area, 1e-30)[:, None]
-
-
-def within(
-    triangles: Float[np.ndarray, "t 3 3"], others: Float[np.ndarray, "n 3 3"], margin: float
-) -> Bool[np.ndarray, " t"]:
-    """Tell which triangles touch the others' bounding box with a margin (metres) around it."""
-    low, high = others.min(axis=(0, 1)) - margin, others.max(axis=(0, 1)) + margin
-    return ((triangles.max(axis=1) > low) & (triangles.min(axis=1) < high)).all(axis=1)
-
-
-def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -> Float32[np.ndarray, "places 3"]:
+def mixed(
+    colors: Float32[np.ndarray, "colors 3"], row: np.ndarray, face: np.ndarray, weight: np.ndarray, count: int
+) -> Float32[np.ndarray, "places 3"]:
     """Average the logo's colours over each of `count` target faces, by area."""
-    row, face, weight = shares
     total = np.maximum(np.bincount(row, weights=weight, minlength=count), 1e-30)
     channels = [np.bincount(row, weights=weight * colors[face, c], minlength=count) / total for c in range(3)]
     return np.clip(np.stack(channels, axis=1), 0, 1).astype(np.float32)
 
 
-def missed(source: Bodies, face_ids: np.ndarray, target: Bodies, reach: float) -> tuple[np.ndarray, float]:
+def missed(logo: Surface, faces: Integer[np.ndarray, " t"], above: Surface, reach: float) -> tuple[np.ndarray, float]:
     """Find logo faces without a surface of the target in reach facing their way, and the others' largest distance."""
-    own = np.flatnonzero(np.isin(source.triangle_face, face_ids))
-    solid = solids(source)[own]
-    triangles = solids(target)
-    near = within(triangles, solid, 2 * reach)
+    near = above.near(logo, 2 * reach)
     if not near.any():
-        return np.asarray(face_ids, np.int64), 0.0
-    normals = sizes(source)[1][own]
-    nearest = nearest_triangles(solid.mean(axis=1), normals, triangles[near], reach)
-    reached = nearest.triangle >= 0
-    lost = np.setdiff1d(face_ids, source.triangle_face[own[reached]]).astype(np.int64)
-    return lost, float(nearest.distance[reached].max(initial=0))
+        return np.unique(faces).astype(np.int64), 0.0
+    nearest, distance = nearest_triangles(logo.corners.mean(axis=1), logo.normals, above.corners[near], reach)
+    reached = nearest >= 0
+    lost = np.setdiff1d(faces, faces[reached]).astype(np.int64)
+    return lost, float(distance[reached].max(initial=0))
 
 
 CANDIDATES = 32
@@ -156,29 +162,22 @@ LEAST_COSINE = 0.3
 """Of a triangle's normal with a point's, to face its way."""
 
 
-@dataclass(frozen=True, eq=False)
-class Nearest:
-    """For each of N points: the closest triangle (-1 where none faces its way) and the distance to it (inf there)."""
-
-    triangle: np.ndarray
-    """[N] int64."""
-    distance: np.ndarray
-    """[N] float64 metres."""
-
-
 def nearest_triangles(
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
     triangles: Float[np.ndarray, "t 3 3"],
     reach: float,
-) -> Nearest:
-    """Find the closest triangle to each point within `reach` metres, of those that face the point's way."""
+) -> tuple[Int64[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Find the closest triangle to each point within `reach` metres, of those that face the point's way.
+
+    Returns the triangles (-1 where there is none) and the distances to them (inf there).
+    """
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     facing = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     centroid = triangles.mean(axis=1)
     tree = KDTree(centroid)
     radius = np.linalg.norm(triangles - centroid[:, None], axis=2).max()
-    nearest = Nearest(np.full(len(points), -1, np.int64), np.full(len(points), np.inf))
+    nearest, distances = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
     count = CANDIDATES
     left = np.arange(len(points))
     while len(left):
@@ -188,20 +187,15 @@ def nearest_triangles(
             away, chosen = tree.query(points[part], np.arange(1, count + 1))
             row, column = np.nonzero(np.einsum("nk,nck->nc", normals[part], facing[chosen]) >= LEAST_COSINE)
             exact = np.full(chosen.shape, np.inf)
-            exact[row, column] = point_distances(points[part[row]], triangles[chosen[row, column]])
+            asked = points[part[row]]
+            # Of a triangle without area, too, the closest point is right.
+            exact[row, column] = np.linalg.norm(asked - closest_point(triangles[chosen[row, column]], asked), axis=1)
             best = exact.argmin(axis=1)[:, None]
             distance = np.take_along_axis(exact, best, axis=1)[:, 0]
             near = distance <= reach
-            nearest.triangle[part[near]] = np.take_along_axis(chosen, best, axis=1)[near, 0]
-            nearest.distance[part[near]] = distance[near]
+            nearest[part[near]] = np.take_along_axis(chosen, best, axis=1)[near, 0]
+            distances[part[near]] = distance[near]
             further.append(part[~near & (away[:, -1] <= reach + radius)])
         left = np.concatenate(further) if count < len(triangles) else left[:0]
         count *= 4
-    return nearest
-
-
-def point_distances(points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Measure the distance of each point to its own triangle, degenerate ones included."""
-    import trimesh
-
-    return np.linalg.norm(points - trimesh.triangles.closest_point(triangles, points), axis=1)
+    return nearest, distances

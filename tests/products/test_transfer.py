@@ -6,7 +6,7 @@ from cloak_core.core.logo import select_region
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.products.transfer import nearest_triangles, point_distances, transfer_logo
+from cloak_core.products.transfer import nearest_triangles, transfer_logo
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
 from cloak_core.sources.bodies.people.samples import sample_bodies
 
@@ -99,19 +99,10 @@ def test_bad_input(body: Bodies) -> None:
         transfer_logo(body, ids, body, np.zeros((2, 3), np.float32))
 
 
-def test_point_distances() -> None:
-    triangle = np.array([[[0, 0, 0], [2, 0, 0], [0, 2, 0]]], float)
-    points = np.array([[0.5, 0.5, 3], [3, 0, 4], [-1, -1, 0], [2, 2, 0], [1, -2, 0]], float)
-    expected = [3, np.hypot(1, 4), np.sqrt(2), np.sqrt(2), 2]
-    assert np.allclose(point_distances(points, np.repeat(triangle, 5, axis=0)), expected)
-    flat = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]]], float)
-    assert np.allclose(point_distances(np.array([[1.0, 2, 0]]), flat), 2)
-
-
 def test_nearest_needs_the_same_side() -> None:
     up = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 1], [1, 0, 1], [0, 0, 1]]], float)
-    found = nearest_triangles(
+    triangle, distance = nearest_triangles(
         np.array([[0.2, 0.2, 0.9]] * 3), np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0]], float), up, reach=2.0
     )
-    assert found.triangle.tolist() == [0, 1, -1]
-    assert np.allclose(found.distance[:2], [0.9, 0.1]) and np.isinf(found.distance[2])
+    assert triangle.tolist() == [0, 1, -1]
+    assert np.allclose(distance[:2], [0.9, 0.1]) and np.isinf(distance[2])

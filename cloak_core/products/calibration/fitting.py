@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.linalg import solve
 
 from cloak_core.exchange.profiles import Profile, write_profile
@@ -145,29 +144,17 @@ def fit_profile(sent: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 3"]) 
 
 def interpolation(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n entries"]:
     """Compute how much each of the table's entries counts for each colour, as `Profile` interpolates."""
-    place = sent.clip(0, 1) * (STEPS - 1)
-    low = np.minimum(place.astype(np.int64), STEPS - 2)
-    weights = np.zeros((len(sent), STEPS**3))
-    for corner in itertools.product((0, 1), repeat=3):
-        weight = np.where(corner, place - low, 1 - (place - low)).prod(axis=1)
-        weights[np.arange(len(sent)), _entry(low + corner)] += weight
-    return weights
-
-
-def _entry(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    return np.ravel_multi_index(tuple(index.T), (STEPS, STEPS, STEPS))
+    steps = sent.clip(0, 1)[..., None] * (STEPS - 1) - np.arange(STEPS)
+    red, green, blue = (1 - np.abs(steps)).clip(0).transpose(1, 0, 2)
+    return np.einsum("ni,nj,nk->nijk", red, green, blue).reshape(len(sent), -1)
 
 
 def _bends() -> Float[np.ndarray, "entries entries"]:
     """Build the quadratic form of the table's second differences along each channel."""
     second = np.diff(np.eye(STEPS), n=2, axis=0)
-    identity = np.eye(STEPS)
-    form = second.T @ second
-    return (
-        np.kron(np.kron(form, identity), identity)
-        + np.kron(np.kron(identity, form), identity)
-        + np.kron(np.kron(identity, identity), form)
-    )
+    form, identity = second.T @ second, np.eye(STEPS)
+    channels = [[form if channel == own else identity for channel in range(3)] for own in range(3)]
+    return sum(np.kron(np.kron(red, green), blue) for red, green, blue in channels)
 
 
 def _solved(weights: np.ndarray, seen: np.ndarray, bends: np.ndarray, smooth: float) -> Float[np.ndarray, "entries 3"]:

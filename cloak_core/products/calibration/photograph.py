@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from cloak_core.core.pictures import open_picture
+from cloak_core.core.pictures import open_picture, perspective
 from cloak_core.files.errors import InputError
 from cloak_core.products.calibration.chart import (
     MARKS,
@@ -37,11 +37,8 @@ def read_photograph(path: Path) -> Float[np.ndarray, "352 3"]:
     with open_picture(path) as picture:
         pixels = np.asarray(ImageOps.exif_transpose(picture).convert("RGB"), np.float32) / 255
     homography = _place_chart(pixels, path)
-    corner, opposite = (
-        _projected(homography, patch_centres()[:1] - patch_size() / 2),
-        _projected(homography, patch_centres()[:1] + patch_size() / 2),
-    )
-    if np.abs(opposite - corner).min() < LEAST_PATCH:
+    corners = patch_centres()[0] + patch_size() / 2 * np.array([[-1], [1]])
+    if np.abs(np.diff(_projected(homography, corners), axis=0)).min() < LEAST_PATCH:
         raise InputError(f"{path}: the chart's patches are under {LEAST_PATCH:g} pixels; photograph it from nearer")
     seen = to_linear(_means(pixels, homography, patch_centres(), patch_size() * 0.6))
     paper = to_linear(_means(pixels, homography, paper_spots(), patch_size() * 0.1)).mean(axis=1)
@@ -50,15 +47,11 @@ def read_photograph(path: Path) -> Float[np.ndarray, "352 3"]:
 
 def _light(paper: Float[np.ndarray, " spots"]) -> Float[np.ndarray, " patches"]:
     """Fit the light on each patch, over its mean: a smooth surface (quadratic in log) through the paper."""
-    known, at_patches = (_powers(spots) for spots in (paper_spots(), patch_centres()))
-    fitted = np.linalg.lstsq(known, np.log(np.maximum(paper, 1e-3)), rcond=None)[0]
-    light = np.exp(at_patches @ fitted)
+    x, y = ((np.concatenate([paper_spots(), patch_centres()]) - patch_centres().mean(axis=0)) / 0.1).T
+    powers = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    fitted = np.linalg.lstsq(powers[: len(paper)], np.log(np.maximum(paper, 1e-3)), rcond=None)[0]
+    light = np.exp(powers[len(paper) :] @ fitted)
     return light / light.mean()
-
-
-def _powers(spots: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 6"]:
-    x, y = ((spots - patch_centres().mean(axis=0)) / 0.1).T
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
 def _place_chart(pixels: Float[np.ndarray, "h w 3"], path: Path) -> Float[np.ndarray, "3 3"]:
@@ -75,8 +68,9 @@ def _place_chart(pixels: Float[np.ndarray, "h w 3"], path: Path) -> Float[np.nda
         # Rows of a picture run downwards: counter-clockwise on the sheet is against the angle here.
         corners = corners[np.argsort(-np.arctan2(around[:, 1], around[:, 0]))]
         for turn in range(4):
-            homography = _homography(MARKS, np.roll(corners, turn, axis=0))
-            if homography is None:
+            try:
+                homography = np.append(perspective(MARKS, np.roll(corners, turn, axis=0)), 1).reshape(3, 3)
+            except np.linalg.LinAlgError:  # three of the marks lie on a line
                 continue
             seen = _pixels_at(pixels, _projected(homography, patch_centres())).mean(axis=1)
             likeness = float(np.corrcoef(lightness, seen)[0, 1]) if seen.std() > 0 else -1.0
@@ -110,17 +104,6 @@ def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
                 y, x = (centres[core] + 0.5) * step - 0.5
                 candidates.append((abs(np.log(ratio)), (float(x), float(y))))
     return [place for _, place in sorted(candidates)]
-
-
-def _homography(start: Float[np.ndarray, "4 2"], end: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "3 3"] | None:
-    """Find the projective map from four points to four others; None where three lie on a line."""
-    rows = []
-    for (x, y), (u, v) in zip(start, end, strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-    matrix = np.array(rows)
-    if np.linalg.cond(matrix) > 1e12:
-        return None
-    return np.append(np.linalg.solve(matrix, end.ravel()), 1).reshape(3, 3)
 
 
 def _projected(homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
