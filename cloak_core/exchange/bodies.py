@@ -58,50 +58,42 @@ class Bodies:
     """The hash its file records, for scenes whose polygons' loops are not stored."""
 
     def __post_init__(self) -> None:
-        self._take_mesh()
-        self._check_mesh()
-        self._take_looks()
-        self._check_looks()
-
-    def _put(self, **values: object) -> None:
-        for key, value in values.items():
-            object.__setattr__(self, key, value)
-
-    def _take_mesh(self) -> None:
-        """Vertices, triangles, polygons and names, as the arrays they are documented to be."""
-        self._put(
-            vertices=checked(self.vertices, np.float32, "vertices", (None, None, 3)),
-            triangles=checked(self.triangles, np.int32, "triangles", (None, 3)),
-        )
-        if self.laid_out is not None:
-            self._put(laid_out=checked(self.laid_out, np.float32, "laid_out", (self.vertex_count, 3)))
-            check_finite(self.laid_out, "laid_out", ("vertex",))
+        self._take("vertices", np.float32, (None, None, 3))
+        self._take("triangles", np.int32, (None, 3))
         if not 1 <= self.pose_count <= MAX_POSES:
             raise InputError(f"vertices: {self.pose_count or 'no'} poses, and 1 to {MAX_POSES} are taken")
         if self.triangle_count > MAX_FACES:
             raise InputError(f"triangles: {self.triangle_count} are beyond any mesh ({MAX_FACES})")
-        faces = self.triangle_face if self.triangle_face is not None else np.arange(self.triangle_count)
-        self._put(triangle_face=checked(faces, np.int32, "triangle_face", (self.triangle_count,)))
-        if (self.loop_total is None) != (self.loop_vertices is None):
-            raise InputError("loop_total and loop_vertices come together")
-        if self.loop_total is not None:
-            self._put(
-                loop_total=checked(self.loop_total, np.int32, "loop_total", (None,)),
-                loop_vertices=checked(self.loop_vertices, np.int32, "loop_vertices", (None,)),
-            )
-        names = map(str, self.names) if len(self.names) else (f"pose {i}" for i in range(self.pose_count))
-        self._put(names=tuple(names))
-
-    def _check_mesh(self) -> None:
-        if len(self.names) != self.pose_count:
-            raise InputError(f"names: {len(self.names)} for {self.pose_count} poses")
-        if self.triangle_count and self.triangle_face.max() >= MAX_FACES:
-            raise InputError(f"triangle_face: face {self.triangle_face.max()} is beyond any mesh ({MAX_FACES} faces)")
         check_finite(self.vertices, "vertices", ("pose", "vertex"))
         check_indices(self.triangles, self.vertex_count, "triangles", "vertices")
-        check_indices(self.triangle_face, self.face_count, "triangle_face", "faces")
+        self._take("laid_out", np.float32, (self.vertex_count, 3))
+        if self.laid_out is not None:
+            check_finite(self.laid_out, "laid_out", ("vertex",))
+        names = tuple(map(str, self.names)) or tuple(f"pose {i}" for i in range(self.pose_count))
+        if len(names) != self.pose_count:
+            raise InputError(f"names: {len(names)} for {self.pose_count} poses")
+        object.__setattr__(self, "names", names)
+        self._take_faces()
+        self._take_looks()
+
+    def _take(self, name: str, dtype: type, shape: tuple[int | None, ...], default: np.ndarray | None = None) -> None:
+        """Make a field the array that it is documented to be, where there is any."""
+        value = default if getattr(self, name) is None else getattr(self, name)
+        if value is not None:
+            object.__setattr__(self, name, checked(value, dtype, name, shape))
+
+    def _take_faces(self) -> None:
+        """Which triangles each polygon was cut into, and its corners."""
+        self._take("triangle_face", np.int32, (self.triangle_count,), default=np.arange(self.triangle_count))
+        if self.triangle_count and self.triangle_face.max() >= MAX_FACES:
+            raise InputError(f"triangle_face: face {self.triangle_face.max()} is beyond any mesh ({MAX_FACES} faces)")
+        if (self.loop_total is None) != (self.loop_vertices is None):
+            raise InputError("loop_total and loop_vertices come together")
         if self.loop_total is None:
             return
+        self._take("loop_total", np.int32, (None,))
+        self._take("loop_vertices", np.int32, (None,))
+        check_indices(self.triangle_face, self.face_count, "triangle_face", "faces")
         if self.loop_total.size and self.loop_total.min() < 3:
             raise InputError(f"loop_total: polygon {int(self.loop_total.argmin())} has fewer than 3 corners")
         if int(self.loop_total.sum(dtype=np.int64)) != len(self.loop_vertices):
@@ -109,38 +101,33 @@ class Bodies:
         check_indices(self.loop_vertices, self.vertex_count, "loop_vertices", "vertices")
 
     def _take_looks(self) -> None:
-        """Colours, regions, texture coordinates and textures, as the arrays they are documented to be."""
-        faces, colors = self.face_count, self.face_colors
-        if colors is None:
-            colors = np.full((1, faces, 3), 0.5, np.float32)
-        self._put(
-            face_colors=checked(colors, np.float32, "face_colors", (None, faces, 3)),
-            regions={key: checked(value, np.bool_, f"region_{key}", (faces,)) for key, value in self.regions.items()},
-            textures={k: checked(v, np.uint8, f"texture_{k}", (None, None, 3)) for k, v in self.textures.items()},
-            outfit_textures=tuple(map(str, self.outfit_textures)) if any(self.outfit_textures) else (),
-        )
-        if self.uv is not None:
-            self._put(
-                uv=checked(self.uv, np.float32, "uv", (None, 2)),
-                triangle_uv=checked(self.triangle_uv, np.int32, "triangle_uv", (self.triangle_count, 3)),
-            )
-
-    def _check_looks(self) -> None:
+        """Colours, regions, texture coordinates and textures."""
+        faces = self.face_count
+        self._take("face_colors", np.float32, (None, faces, 3), default=np.full((1, faces, 3), 0.5, np.float32))
         if not self.outfit_count:
             raise InputError("face_colors: no outfit")
         check_finite(self.face_colors, "face_colors", ("outfit", "face"))
         if self.face_colors.size and not (0 <= self.face_colors.min() and self.face_colors.max() <= 1):
             raise InputError("face_colors: values outside [0, 1]")
         if self.uv is not None:
+            if self.triangle_uv is None:
+                raise InputError("uv without triangle_uv")
+            self._take("uv", np.float32, (None, 2))
+            self._take("triangle_uv", np.int32, (self.triangle_count, 3))
             check_finite(self.uv, "uv", ("coordinate",))
             check_indices(self.triangle_uv, len(self.uv), "triangle_uv", "uv")
-        if self.outfit_textures and len(self.outfit_textures) != self.outfit_count:
-            raise InputError(f"outfit_textures: {len(self.outfit_textures)} for {self.outfit_count} outfits")
-        for name, image in self.textures.items():
+        regions = {key: checked(value, np.bool_, f"region_{key}", (faces,)) for key, value in self.regions.items()}
+        textures = {k: checked(v, np.uint8, f"texture_{k}", (None, None, 3)) for k, v in self.textures.items()}
+        worn = tuple(map(str, self.outfit_textures)) if any(self.outfit_textures) else ()
+        for key, value in (("regions", regions), ("textures", textures), ("outfit_textures", worn)):
+            object.__setattr__(self, key, value)
+        if worn and len(worn) != self.outfit_count:
+            raise InputError(f"outfit_textures: {len(worn)} for {self.outfit_count} outfits")
+        for name, image in textures.items():
             if not image.size:
                 raise InputError(f"texture_{name}: no pixels")
-        for name in filter(None, self.outfit_textures):
-            if name not in self.textures:
+        for name in filter(None, worn):
+            if name not in textures:
                 raise InputError(f"outfit_textures: there is no texture '{name}'")
             if self.uv is None:
                 raise InputError(f"texture '{name}': the mesh has no texture coordinates (UVs)")

@@ -48,8 +48,6 @@ def read_scene(path: str | os.PathLike) -> Bodies:
 
 def _bodies_from_arrays(arrays: dict[str, np.ndarray], name: str, topology: object) -> Bodies:
     named = lambda prefix: {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}
-    if arrays.get("uv") is not None and "triangle_uv" not in arrays:
-        raise InputError("uv without triangle_uv")
     return Bodies(
         vertices=arrays["vertices"],
         triangles=arrays["triangles"],
