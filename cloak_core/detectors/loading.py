@@ -11,7 +11,7 @@ from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.naming import full_spec, refuse_typing_errors
-from cloak_core.detectors.specs import Request, check_size, parse_spec, with_person_class
+from cloak_core.detectors.specs import check_size, parse_spec, with_person_class
 from cloak_core.files.errors import InputError, first_line
 
 PRECISIONS = ("float32", "bfloat16", "auto")
@@ -46,7 +46,8 @@ def load_detector(
     Before any spec may stand defences, `jpeg=75:SPEC` (`defended.table.DEFENCES`); all else is said of the detector
     behind them. InputError names whatever cannot be found, read or understood.
     """
-    spec = full_spec(spec)
+    spec, place = full_spec(spec), usable_device(device)
+    chosen = _precision(precision, place)
     if (defended := split_defence(spec)) is not None:
         from cloak_core.detectors.defended.detector import defend
 
@@ -55,31 +56,25 @@ def load_detector(
         given = {"input_size": input_size, "letterbox": letterbox, "person_class": person_class, "device": device}
         inner = load_detector(rest, **given, compiled=compiled, layout=layout, download=download, fold=fold)
         detector = defend(inner, head)
-        detector.precision = _precision(precision, usable_device(device))
+        detector.precision = chosen
         return detector
     request = replace(parse_spec(spec), layout=layout, download=download, fold=fold)
-    request = _told(request, input_size, letterbox, person_class)
+    if input_size is not None:  # what is said beside the spec wins
+        sides = (input_size, input_size) if isinstance(input_size, int) else input_size
+        request = replace(request, input_size=(int(sides[0]), int(sides[1])))
+    if request.input_size is not None:
+        check_size(request.input_size, f"detector {request.spec}")
+    if person_class is not None:
+        request = replace(request, spec=with_person_class(request.spec, person_class), person_class=person_class)
+    request = replace(request, letterbox=letterbox or request.letterbox)
     family = FAMILIES[request.family]
     family.check(request)
     refuse_typing_errors(request.spec)
-    place = usable_device(device)
-    chosen = _precision(precision, place)
     detector = family.load(request).to(place)
     detector.precision = chosen
     if request.confidence is not None:
         detector.operating_point, detector.operating_point_assumed = request.confidence, False
     return compile_detector(detector) if compiled else detector
-
-
-def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool, person_class: str | None) -> Request:
-    """Apply what was said beside the spec, which wins."""
-    if size is not None:
-        request = replace(request, input_size=(size, size) if isinstance(size, int) else (int(size[0]), int(size[1])))
-    if request.input_size is not None:
-        check_size(request.input_size, f"detector {request.spec}")
-    if person_class is not None:
-        request = replace(request, spec=with_person_class(request.spec, person_class), person_class=person_class)
-    return replace(request, letterbox=letterbox or request.letterbox)
 
 
 def _precision(wanted: str, device: torch.device) -> Literal["float32", "bfloat16"]:

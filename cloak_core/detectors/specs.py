@@ -68,11 +68,14 @@ def parse_spec(spec: str) -> Request:
     """Take a spec apart. InputError: an option given twice, one that is no number or outside its range."""
     match = _OPTIONS.match(spec)
     what, options = (match["what"], match["options"].split(",")) if match else (spec, [])
-    kinds = [_kind(option) for option in options]
+    kinds = [next(kind for kind, form in OPTIONS.items() if re.fullmatch(form, option)) for option in options]
     if len(set(kinds)) < len(kinds):
         raise InputError(f"detector {spec!r}: {max(kinds, key=kinds.count)} is given twice")
     given = dict(zip(kinds, options, strict=True))
     sides = [int(side) for side in given["size"].split("x")] if "size" in given else []
+    (confidence,) = _numbers(spec, given["conf"]) if "conf" in given else (None,)
+    if confidence is not None and not 0 < confidence < 1:
+        raise InputError(f"detector {spec!r}: conf={confidence:g} is not in (0, 1)")
     family, _, what = what.partition(":")
     return Request(
         spec,
@@ -83,17 +86,8 @@ def parse_spec(spec: str) -> Request:
         stretch=given.get("letterbox") == "stretch",
         person_class=given["person"].partition("=")[2] if "person" in given else None,
         pixels=_pixels(spec, given),
-        confidence=_confidence(spec, given),
+        confidence=confidence,
     )
-
-
-def _confidence(spec: str, given: dict[str, str]) -> float | None:
-    if "conf" not in given:
-        return None
-    (value,) = _numbers(spec, given["conf"])
-    if not 0 < value < 1:
-        raise InputError(f"detector {spec!r}: conf={value:g} is not in (0, 1)")
-    return value
 
 
 def _pixels(spec: str, given: dict[str, str]) -> PixelFormat | None:
@@ -127,7 +121,3 @@ def with_person_class(spec: str, person_class: str) -> str:
     if parse_spec(spec).person_class is not None:
         raise InputError(f"detector {spec!r}: says person= already; drop --person-class")
     return f"{spec}{',' if _OPTIONS.match(spec) else '@'}person={person_class}"
-
-
-def _kind(option: str) -> str:
-    return next(kind for kind, form in OPTIONS.items() if re.fullmatch(form, option))

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 import torch
 import torch.nn.functional as F
@@ -37,17 +36,15 @@ class Preprocessing:
     std: tuple[float, ...] = (1.0, 1.0, 1.0)
 
     def __call__(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 h w"]:
-        size = self.size or self._by_short_side(images.shape[2], images.shape[3])
+        height, width = images.shape[2:]
+        short, long = sorted((height, width))
+        target = min(self.short_side, round(self.long_side * short / long))
+        scaled = int(target * long / short)
+        size = self.size or ((target, scaled) if height <= width else (scaled, target))
         if size != tuple(images.shape[-2:]):
             images = F.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
         mean, std = (torch.tensor(v, device=images.device, dtype=images.dtype) for v in (self.mean, self.std))
         return (images - mean[:, None, None]) / std[:, None, None]
-
-    def _by_short_side(self, height: int, width: int) -> tuple[int, int]:
-        short, long = sorted((height, width))
-        target = min(self.short_side, round(self.long_side * short / long))
-        scaled = int(target * long / short)
-        return (target, scaled) if height <= width else (scaled, target)
 
 
 class Undetached(TorchFunctionMode):
@@ -103,20 +100,26 @@ def load_transformers(request: Request) -> TransformersDetector:
     config = {key: str(value) for key, value in model.config.to_dict().items() if key != "_name_or_path"}
     detector.source = {"config": sha256_record(config), "preprocessing": str(preprocessing), "person": person}
     detector.packages = ("transformers",)
-    detector.freeze()
-    return detector
+    return detector.freeze()
 
 
 def _read(where: str, request: Request) -> nn.Module:
     import transformers
 
-    with _quiet(transformers.logging):
-        try:
-            model, info = transformers.AutoModelForObjectDetection.from_pretrained(
-                where, local_files_only=not request.download, output_loading_info=True, trust_remote_code=False
-            )
-        except Exception as error:  # transformers raises many kinds; each means that these files are not such a model
-            raise InputError(f"detector {request.spec!r}: {_reason(error, request.what)}") from error
+    loud = transformers.logging.get_verbosity()  # how loud it is belongs to whoever else uses it in this process
+    transformers.logging.set_verbosity_error()
+    try:
+        model, info = transformers.AutoModelForObjectDetection.from_pretrained(
+            where, local_files_only=not request.download, output_loading_info=True, trust_remote_code=False
+        )
+    except Exception as error:  # transformers raises many kinds; each means that these files are not such a model
+        why = f"cannot be loaded: {first_line(error)[:200]}"
+        if not Path(request.what).expanduser().is_dir() and isinstance(error, OSError):
+            why = "no such folder, and not in the local cache (allow --download, or fetch it with: hf download "
+            why += f"{request.what})"
+        raise InputError(f"detector {request.spec!r}: {why}") from error
+    finally:
+        transformers.logging.set_verbosity(loud)
     if info["missing_keys"] or info["mismatched_keys"]:
         keys = sorted(map(str, [*info["missing_keys"], *info["mismatched_keys"]]))
         raise InputError(
@@ -138,17 +141,6 @@ def _offline() -> Iterator[None]:
         yield
     finally:
         constants.HF_HUB_OFFLINE = before
-
-
-@contextmanager
-def _quiet(logging: ModuleType) -> Iterator[None]:
-    """Silence the library's warnings inside; how loud it is belongs to whoever else uses it in this process."""
-    before = logging.get_verbosity()
-    logging.set_verbosity_error()
-    try:
-        yield
-    finally:
-        logging.set_verbosity(before)
 
 
 @torch.no_grad()
@@ -187,9 +179,3 @@ def _preprocessing(where: str, model_type: str, request: Request) -> Preprocessi
         mean=(0.0, 0.0, 0.0) if plain else tuple(map(float, mean)),
         std=(1.0, 1.0, 1.0) if plain else tuple(map(float, std)),
     )
-
-
-def _reason(error: Exception, source: str) -> str:
-    if not Path(source).expanduser().is_dir() and isinstance(error, OSError):
-        return f"no such folder, and not in the local cache (allow --download, or fetch it with: hf download {source})"
-    return f"cannot be loaded: {first_line(error)[:200]}"

@@ -84,3 +84,19 @@ def others_are_the_rest(load: Callable[[int], Detector], count: int, person: int
     for image, number in enumerate(named):
         torch.testing.assert_close(rest[number][image], best[image].detach(), rtol=1e-4, atol=1e-6)
     assert found.other.requires_grad and found.other_class.dtype == torch.int64
+
+
+def lowers_score(detector: Detector, batch: torch.Tensor, step: float = 0.02) -> tuple[torch.Tensor, torch.Tensor]:
+    """Scores before and after one small step of every image against its gradient."""
+    batch = batch.clone().requires_grad_()
+    before = max_person_score(detector(batch))
+    (gradient,) = torch.autograd.grad(before.sum(), batch)
+    assert bool(gradient.isfinite().all()) and bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
+    norm = gradient.flatten(1).norm(dim=1)[:, None, None, None]
+    for _ in range(8):  # halve until the linear model holds
+        with torch.no_grad():
+            after = max_person_score(detector(batch - step * gradient / norm))
+        if bool((after < before).all()):
+            break
+        step /= 2
+    return before.detach(), after

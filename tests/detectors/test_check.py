@@ -1,4 +1,4 @@
-"""Checking a detector on an image file."""
+"""Checking a detector on an image file, and how its network wants pixels, as far as one photograph tells."""
 
 from pathlib import Path
 
@@ -6,8 +6,10 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.detectors.check import check_image, draw_boxes, read_image
+from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.detectors.check import check_image, draw_boxes, plausibility, read_image, try_pixels
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, write_tiny
 
@@ -52,23 +54,58 @@ def test_drawing_stays_inside() -> None:
     assert draw_boxes(images(1, 48, 80)[0], boxes).size == (80, 48)
 
 
-@pytest.mark.parametrize("content", [b"", b"no picture", None])
-def test_bad_images_are_named(content: bytes | None, tmp_path: Path) -> None:
-    detector, file = load_detector(write_tiny(tmp_path)), tmp_path / "in.png"
-    if content is not None:
-        file.write_bytes(content)
-    with pytest.raises(InputError, match=r"in.png: (no such file|not a readable picture)"):
-        check_image(detector, file)
-
-
-def test_truncated_image_is_named(tmp_path: Path) -> None:
-    file = save(images(1, 200, 200)[0], tmp_path / "in.jpg")
-    file.write_bytes(file.read_bytes()[:-800])
-    with pytest.raises(InputError, match=r"in.jpg: not a readable picture"):
+def test_bad_images_are_named(tmp_path: Path) -> None:
+    whole = save(images(1, 200, 200)[0], tmp_path / "whole.jpg").read_bytes()
+    file = tmp_path / "in.jpg"
+    with pytest.raises(InputError, match=r"in.jpg: no such file"):
         read_image(file)
+    for content in (b"", b"no picture", whole[:-800]):
+        file.write_bytes(content)
+        with pytest.raises(InputError, match=r"in.jpg: not a readable picture"):
+            read_image(file)
 
 
 def test_out_is_checked_before_the_work(tmp_path: Path) -> None:
     detector = load_detector(write_tiny(tmp_path))
     with pytest.raises(InputError, match=r"give a .png or .jpg"):
         check_image(detector, tmp_path / "none.png", out=tmp_path / "nowhere" / "x.png")
+
+
+BOXES = torch.tensor([[10.0, 10, 30, 50, 0.9], [60, 20, 80, 40, 0.5]])
+
+
+def mirrored(boxes: torch.Tensor, width: int = 100) -> torch.Tensor:
+    return torch.stack([width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3], boxes[:, 4]], dim=1)
+
+
+def test_boxes_that_a_mirror_image_shows_too_are_plausible() -> None:
+    assert plausibility(BOXES, mirrored(BOXES), 100) == 1.0
+    assert plausibility(BOXES, BOXES, 100) == plausibility(BOXES[:0], BOXES, 100) == 0.0
+    crowd = torch.cat([BOXES, BOXES + torch.tensor([3.0, 40, 3, 40, 0])])
+    assert 0 < plausibility(crowd, mirrored(BOXES), 100) < plausibility(BOXES, mirrored(BOXES), 100)
+
+
+class Bright(Detector):
+    """Sees a person in the brightest cell of pixels in 0..255; of darker pictures nothing, of brighter ones noise."""
+
+    def __init__(self) -> None:
+        super().__init__("bright", "bright")
+        self.pixels = PixelFormat()
+
+    def detect(self, images: torch.Tensor) -> Detections:
+        cells = torch.nn.functional.avg_pool2d(self.pixels.apply(images).mean(1, keepdim=True), 8).flatten(1)
+        y, x = torch.meshgrid(8.0 * torch.arange(8), 8.0 * torch.arange(8), indexing="ij")
+        boxes = torch.stack([x, y, x + 8, y + 8], dim=-1).view(1, 64, 4).expand(len(images), -1, -1)
+        return Detections(boxes, torch.sigmoid((cells - 200) / 20))
+
+
+def test_the_right_range_comes_first_and_what_cannot_be_told_is_said() -> None:
+    image = torch.full((3, 64, 64), 0.4)
+    image[:, 16:24, 8:16] = 1
+    detector = Bright()
+    trials, undecided = try_pixels(detector, image)
+    ways = [trial.pixels for trial in trials]
+    assert detector.pixels == PixelFormat() and undecided == 2
+    assert set(ways[:2]) == {PixelFormat(range=255.0), PixelFormat(bgr=True, range=255.0)}
+    detector.pixels = PixelFormat(bgr=True, range=255.0)
+    assert try_pixels(detector, image)[0][0].pixels == detector.pixels  # its own word decides between equals

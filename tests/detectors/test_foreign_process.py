@@ -1,6 +1,5 @@
 """Code and files of others leave the process as it was, end in time, and answer what a detector answers."""
 
-import os
 import signal
 from pathlib import Path
 
@@ -13,8 +12,6 @@ from cloak_core.detectors.onnx_family import networks
 from cloak_core.files.errors import InputError
 
 CODE = """
-import os
-import tempfile
 import torch
 IMPORT
 class Mine(torch.nn.Module):
@@ -25,98 +22,32 @@ def load():
     LOAD
     return Mine()
 """
-CHANGES = {
-    "gradients": "torch.set_grad_enabled(False)",
-    "device": "torch.set_default_device('meta')",
-    "type": "torch.set_default_dtype(torch.float64)",
-    "threads": "torch.set_num_threads(torch.get_num_threads() + 1)",
-    "folder": "os.chdir(tempfile.gettempdir())",
-}
 
 
-def process() -> tuple:
-    kinds = torch.is_grad_enabled(), torch.get_default_dtype(), torch.get_default_device(), torch.get_num_threads()
-    return *kinds, os.getcwd()
+def save(path: Path, nodes: list, sides: list, constants: tuple = (), **said: str) -> None:
+    """Write an ONNX file of these nodes, from `images` of these sides to `y`."""
+    import onnx
 
-
-def images(count: int = 2) -> torch.Tensor:
-    return torch.rand(count, 3, 16, 12, generator=torch.Generator().manual_seed(0), requires_grad=True)
-
-
-def written(folder: Path, **parts: str) -> str:
-    text = CODE
-    for name in ("IMPORT", "CALL", "LOAD"):
-        text = text.replace(name, parts.get(name, "pass"))
-    (folder / "mine.py").write_text(text)
-    return "python:mine.py:load"
-
-
-@pytest.mark.parametrize("where", ["IMPORT", "LOAD", "CALL"])
-@pytest.mark.parametrize("change", CHANGES)
-def test_what_it_changes_of_the_process_is_set_back(change, where, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    before = process()
-    detector = load_detector(written(tmp_path, **{where: CHANGES[change]}))
-    assert process() == before
-    if (change, where) != ("gradients", "CALL"):
-        detector(images()).scores.sum().backward()
-        assert process() == before
-        return
-    with pytest.raises(InputError, match="carry no gradient"):
-        detector(images())
-    assert process() == before
-
-
-def test_it_is_set_back_where_it_fails(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    before = process()
-    with pytest.raises(InputError, match="ZeroDivisionError"):
-        load_detector(written(tmp_path, IMPORT="torch.set_grad_enabled(False); os.chdir('/'); 1 / 0"))
-    assert process() == before
-
-
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [
-        ("torch.zeros(2, 1, 4, device='meta'), torch.zeros(2, 1)", "its boxes are on meta, the images on cpu"),
-        ("torch.zeros(2, 1, 4), torch.zeros(2, 1, device='meta')", "its scores are on meta, the images on cpu"),
-        ("torch.zeros(2, 1, 4).int(), torch.zeros(2, 1)", "its boxes are torch.int32, not floating-point numbers"),
-    ],
-)
-def test_answers_elsewhere_or_of_another_type_are_refused(answer, words, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    detector = load_detector(written(tmp_path, CALL=f"return {answer}"))
-    with pytest.raises(InputError, match=words):
-        detector(images())
-
-
-def endless(path: Path) -> None:
-    """Write an ONNX file whose network is a loop of 2^62 rounds."""
-    onnx = pytest.importorskip("onnx")
     make, kinds = onnx.helper, onnx.TensorProto
-    number, truth = make.make_tensor_value_info("i", kinds.INT64, []), make.make_tensor_value_info("c", kinds.BOOL, [])
-    state = [make.make_tensor_value_info(name, kinds.FLOAT, None) for name in ("x", "xo")]
-    nodes = [make.make_node("Identity", ["c"], ["co"]), make.make_node("Sin", ["x"], ["xo"])]
-    outputs = [make.make_tensor_value_info("co", kinds.BOOL, []), state[1]]
-    body = make.make_graph(nodes, "body", [number, truth, state[0]], outputs)
-    constants = [
-        onnx.numpy_helper.from_array(np.array(1 << 62), "n"),
-        onnx.numpy_helper.from_array(np.array(True), "t"),
-    ]
-    graph = make.make_graph(
-        [make.make_node("Loop", ["n", "t", "images"], ["y"], body=body)],
-        "endless",
-        [make.make_tensor_value_info("images", kinds.FLOAT, [1, 3, 32, 32])],
-        [make.make_tensor_value_info("y", kinds.FLOAT, [1, 3, 32, 32])],
-        constants,
-    )
-    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 13)])
-    model.ir_version = 8
+    ends = [[make.make_tensor_value_info(name, kinds.FLOAT, shape)] for name, shape in (("images", sides), ("y", None))]
+    graph = make.make_graph(nodes, "made", *ends, constants)
+    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 13)], ir_version=8)
+    make.set_model_props(model, said)
     onnx.save(model, path)
 
 
 def test_a_loop_without_end_is_ended(tmp_path, monkeypatch) -> None:
-    endless(tmp_path / "endless.onnx")
+    """2^62 rounds."""
+    onnx = pytest.importorskip("onnx")
+    make, kinds = onnx.helper, onnx.TensorProto
+    number, truth = make.make_tensor_value_info("i", kinds.INT64, []), make.make_tensor_value_info("c", kinds.BOOL, [])
+    state = [make.make_tensor_value_info(name, kinds.FLOAT, None) for name in ("x", "xo")]
+    steps = [make.make_node("Identity", ["c"], ["co"]), make.make_node("Sin", ["x"], ["xo"])]
+    outputs = [make.make_tensor_value_info("co", kinds.BOOL, []), state[1]]
+    body = make.make_graph(steps, "body", [number, truth, state[0]], outputs)
+    constants = [onnx.numpy_helper.from_array(np.array(value), name) for value, name in ((1 << 62, "n"), (True, "t"))]
+    loop = make.make_node("Loop", ["n", "t", "images"], ["y"], body=body)
+    save(tmp_path / "endless.onnx", [loop], [1, 3, 32, 32], constants)
     monkeypatch.setattr(networks, "SECONDS", 0.5)
     with pytest.raises(InputError, match=r"endless\.onnx: a network that takes more than 0\.5 s for an image"):
         load_detector(f"onnx:{tmp_path / 'endless.onnx'}")
@@ -170,16 +101,7 @@ def test_inputs_that_nobody_can_run_are_refused(spec) -> None:
 
 def test_a_file_that_asks_for_huge_images_is_refused(tmp_path) -> None:
     onnx = pytest.importorskip("onnx")
-    make, kinds = onnx.helper, onnx.TensorProto
-    graph = make.make_graph(
-        [make.make_node("ReduceMean", ["images"], ["y"], axes=[3])],
-        "huge",
-        [make.make_tensor_value_info("images", kinds.FLOAT, ["b", 3, "h", "w"])],
-        [make.make_tensor_value_info("y", kinds.FLOAT, None)],
-    )
-    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 13)])
-    model.ir_version = 8
-    onnx.helper.set_model_props(model, {"imgsz": "[8192, 8192]"})
-    onnx.save(model, tmp_path / "huge.onnx")
+    mean = onnx.helper.make_node("ReduceMean", ["images"], ["y"], axes=[3])
+    save(tmp_path / "huge.onnx", [mean], ["b", 3, "h", "w"], imgsz="[8192, 8192]")
     with pytest.raises(InputError, match=r"huge\.onnx: an input size of 8192x8192 is not possible"):
         load_detector(f"onnx:{tmp_path / 'huge.onnx'}")

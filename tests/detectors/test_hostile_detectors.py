@@ -88,6 +88,7 @@ REFUSED = {
     "infinite boxes": "return boxes + float('inf'), scores",
     "reversed boxes": "return boxes.flip(2), scores",
     "no gradient": "return boxes, scores.detach()",
+    "boxes on another device": "return torch.zeros(count, 3, 4, device='meta'), scores",
     "another device": "return boxes, torch.zeros(count, 3, device='meta')",
     "changed weights": "self.weight.data.add_(1)",
     "changed images": "images.data.zero_()",
@@ -110,6 +111,7 @@ NOT_LOADED = {
     "names that are none": {"LOAD": "Mine.class_names = 5"},
     "a property that fails": {"LOAD": "Mine.differentiable = property(lambda self: 1 / 0)"},
     "weights without numbers": {"LOAD": "return Mine().to('meta')"},
+    "changes, then an error": {"IMPORT": "torch.set_grad_enabled(False); os.chdir('/'); 1 / 0"},
     "eval that fails": {"LOAD": "Mine.train = lambda self, mode=True: 1 / 0"},
 }
 

@@ -16,8 +16,6 @@ from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import Cover
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.defended.masks import EXPLAINED, spans
-from cloak_core.detectors.loading import load_detector
-from cloak_core.files.errors import InputError
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.studies.clean import certified_recall
 from tests.core.fakes import MadeViews, noise_backgrounds, photograph_view
@@ -115,12 +113,6 @@ def test_certified_recall_is_the_share_found_under_every_mask() -> None:
     told = certified_recall(defend(Fragile(), f"masked={PATCH}"), stills(), own, 0.7)
     assert told == {"certified_recall": 0.5, "certified_recall_own": 1.0, "patch": PATCH}
     assert certified_recall(Fragile(), stills(), own, 0.7) == {}, "without masks nothing is certified"
-
-
-def test_it_stands_before_any_spec_and_asks_for_a_whole_number() -> None:
-    assert load_detector("masked=32:builtin").spec.startswith("masked=32:builtin")
-    with pytest.raises(InputError, match="masked=0 must give its side of the patch in pixels"):
-        load_detector("masked=0:builtin")
 
 
 @pytest.mark.slow

@@ -53,10 +53,8 @@ def test_darknet_finds_the_other_half(tmp_path: Path) -> None:
     [
         ("builtn", "unknown family 'builtn'; did you mean builtin?"),
         ("onx:a.onnx", "unknown family 'onx'; did you mean onnx?"),
-        ("ultralitics:a.pt", "did you mean ultralytics?"),
         ("yolo", "unknown family 'yolo'; expected a file, or builtin"),
         ("net.pth", "names no family; torchvision:NAME:net.pth?"),
-        ("mine.py", "names no family; python:mine.py:FUNCTION?"),
     ],
 )
 def test_what_may_be_meant(typed: str, words: str) -> None:

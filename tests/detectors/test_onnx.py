@@ -15,8 +15,7 @@ from cloak_core.detectors.onnx_family.model_file import read_model
 from cloak_core.detectors.onnx_family.networks import Session
 from cloak_core.detectors.verification import comparing
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images, others_are_the_rest
-from tests.detectors.test_gradients import lowers_score
+from tests.detectors.helpers import images, lowers_score, others_are_the_rest
 
 onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
 pytest.importorskip("onnxruntime", reason="pip install 'cloak-core[onnx]'")
@@ -66,6 +65,11 @@ class Made:
         self.node("Sigmoid", "logits", "scores")
         self.node("Concat", "boxes scores", "output", axis=1)
 
+    def finished(self) -> "Made":
+        self.body()
+        self.head()
+        return self
+
     def save(
         self, path: Path, batch: int | str = "batch", sides: tuple = (SIDE, SIDE), opset: int = 13, **said: str
     ) -> Path:
@@ -80,10 +84,7 @@ class Made:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    made = Made()
-    made.body()
-    made.head()
-    return made.save(tmp_path / "made.onnx")
+    return Made().finished().save(tmp_path / "made.onnx")
 
 
 def close(converted: OnnxDetector, session: Session) -> None:
@@ -99,6 +100,7 @@ def test_a_file_trains(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     detector = load_detector(f"onnx:{path}")
     assert detector.differentiable and detector.person == 1 and not caplog.records
     assert detector.source["layout"] == "yolov8" and detector.input_size == (SIDE, SIDE)
+    assert detector.operating_point == 0.25 and detector.operating_point_assumed
     session = detector_session(path)
     close(detector, session)
     before, after = lowers_score(detector, images(2, 90, 60))
@@ -134,10 +136,7 @@ def test_a_reshape_of_a_fixed_batch_is_run_image_by_image(tmp_path: Path, caplog
 
 
 def test_a_batch_fixed_to_one(tmp_path: Path) -> None:
-    made = Made()
-    made.body()
-    made.head()
-    detector = load_detector(f"onnx:{made.save(tmp_path / 'one.onnx', batch=1)}")
+    detector = load_detector(f"onnx:{Made().finished().save(tmp_path / 'one.onnx', batch=1)}")
     assert detector.differentiable and len(detector(images(3, 90, 60)).scores) == 3
 
 
@@ -152,10 +151,7 @@ def test_a_bias_that_is_a_constant_node(tmp_path: Path) -> None:
 
 
 def test_half_precision_becomes_single(tmp_path: Path) -> None:
-    made = Made(HALF)
-    made.body()
-    made.head()
-    detector = load_detector(f"onnx:{made.save(tmp_path / 'half.onnx')}")
+    detector = load_detector(f"onnx:{Made(HALF).finished().save(tmp_path / 'half.onnx')}")
     assert detector.differentiable and detector(images(2, SIDE, SIDE)).scores.dtype == torch.float32
 
 
@@ -174,18 +170,6 @@ def test_integers_are_a_black_box(tmp_path: Path, caplog) -> None:
     assert detector(images(2, SIDE, SIDE)).scores.shape == (2, 64)
     with pytest.raises(InputError, match="a black box without gradients: evaluate with it, do not train"):
         detector(images(1, SIDE, SIDE).requires_grad_())
-
-
-def test_an_operator_without_a_translation_is_named(tmp_path: Path, caplog) -> None:
-    made = Made()
-    made.body()
-    made.nodes[-1].output[0] = made.nodes[-1].name = "rough"
-    made.node("Shrink", "rough", "grid", lambd=0.0)
-    made.head()
-    with caplog.at_level(logging.WARNING):
-        detector = load_detector(f"onnx:{made.save(tmp_path / 'shrink.onnx')}")
-    assert "a black box" in caplog.text and "Shrink" in caplog.text
-    assert not detector.differentiable
 
 
 def test_what_is_wrong_in_torch_is_not_trained_against(path: Path, monkeypatch, caplog) -> None:
@@ -207,21 +191,13 @@ def test_the_check_is_made_once_for_each_content(path: Path, tmp_path: Path, mon
 
 
 def test_what_the_file_says_counts(tmp_path: Path) -> None:
-    made = Made()
-    made.body()
-    made.head()
-    path = made.save(tmp_path / "said.onnx", sides=("height", "width"), imgsz="[96, 128]", conf="0.4")
+    path = Made().finished().save(tmp_path / "said.onnx", sides=("height", "width"), imgsz="[96, 128]", conf="0.4")
     detector = load_detector(f"onnx:{path}")
     assert detector.input_size == (96, 128)
     assert detector.operating_point == 0.4 and not detector.operating_point_assumed
     assert load_detector(f"onnx:{path}@64").input_size == (64, 64)
     own = load_detector(f"onnx:{path}@conf=0.3,64x96")
     assert own.operating_point == 0.3 and own.input_size == (64, 96)
-
-
-def test_the_usual_confidence_is_marked_as_assumed(path: Path) -> None:
-    detector = load_detector(f"onnx:{path}")
-    assert detector.operating_point == 0.25 and detector.operating_point_assumed
 
 
 def test_pixels_as_the_spec_says(path: Path) -> None:
@@ -268,10 +244,7 @@ def test_files_that_are_no_such_model(tmp_path: Path) -> None:
         load_detector(f"onnx:{tmp_path / 'm.onnx'}")
     with pytest.raises(InputError, match=r"none.onnx: no such file"):
         load_detector("onnx:none.onnx")
-    made = Made()
-    made.body()
-    made.head()
-    path = made.save(tmp_path / "two.onnx")
+    path = Made().finished().save(tmp_path / "two.onnx")
     model = onnx.load(str(path))
     model.graph.input.append(helper.make_tensor_value_info("scale", FLOAT, [1]))
     onnx.save(model, str(path))
@@ -297,10 +270,7 @@ def test_weights_outside_the_folder_are_not_read(tmp_path: Path) -> None:
 
 
 def test_names_are_needed(tmp_path: Path) -> None:
-    made = Made()
-    made.body()
-    made.head()
-    path = made.save(tmp_path / "m.onnx", names="")
+    path = Made().finished().save(tmp_path / "m.onnx", names="")
     with pytest.raises(InputError, match="names of its 2 classes are unknown"):
         load_detector(f"onnx:{path}")
     assert load_detector(f"onnx:{path}", person_class="1").person == 1
@@ -310,10 +280,7 @@ def test_a_black_box_hashes_its_file(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(comparing, "SCORES", -1.0)
     hashes = set()
     for names in (NAMES, "{0: 'dog', 1: 'person'}"):
-        made = Made()
-        made.body()
-        made.head()
-        hashes.add(state_hash(load_detector(f"onnx:{made.save(tmp_path / 'm.onnx', names=names)}")))
+        hashes.add(state_hash(load_detector(f"onnx:{Made().finished().save(tmp_path / 'm.onnx', names=names)}")))
     assert len(hashes) == 2
 
 

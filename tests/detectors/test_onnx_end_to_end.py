@@ -11,8 +11,7 @@ import torch
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.verification import verify
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images
-from tests.detectors.test_gradients import lowers_score
+from tests.detectors.helpers import images, lowers_score
 
 onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
 pytest.importorskip("onnxruntime", reason="pip install 'cloak-core[onnx]'")
@@ -78,6 +77,9 @@ def test_all_boxes_are_read_and_trained_against(bias: str, tmp_path: Path, caplo
     assert found.scores.shape == (3, 64) and found.other.shape == (3, 64)
     before, after = lowers_score(detector, batch)
     assert bool((after < before).all())
+    inputs = batch[:1].requires_grad_()
+    (slope,) = torch.autograd.grad(detector(inputs).scores.sort().values[0, 0], inputs)  # of a box that is not chosen
+    assert float(slope.abs().max()) > 0
     assert verify(detector, images(4, SIDE, SIDE))["failed"] == []
 
 
@@ -125,14 +127,6 @@ def test_boxes_are_read_before_their_suppression(tmp_path: Path, caplog: pytest.
 def test_where_nothing_is_reported_corners_must_stand_in_their_order(first: int, read: bool, tmp_path: Path) -> None:
     path = suppressing(tmp_path / "n.onnx", least=1.0, first=first)
     assert load_detector(f"onnx:{path}").differentiable is read
-
-
-def test_a_person_that_is_not_chosen_still_has_a_gradient(tmp_path: Path) -> None:
-    detector = load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx')}")
-    inputs = images(1, SIDE, SIDE).requires_grad_()
-    scores = detector(inputs).scores
-    (gradient,) = torch.autograd.grad(scores.sort().values[0, 0], inputs)  # of 64 the least, of which 5 are chosen
-    assert float(gradient.abs().max()) > 0
 
 
 def test_what_changes_boxes_after_the_choice_is_read_as_the_file_answers(tmp_path: Path, caplog) -> None:

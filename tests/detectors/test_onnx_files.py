@@ -21,12 +21,6 @@ from tests.detectors.test_onnx import FLOAT, SIDE, Made, close, detector_session
 INT = onnx.TensorProto.INT64
 
 
-def finished(made: Made) -> Made:
-    made.body()
-    made.head()
-    return made
-
-
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 a TorchScript archive", b"\x80\x02}q\x00.", b"{}"])
 def test_other_files(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "m.onnx").write_bytes(content)
@@ -35,7 +29,7 @@ def test_other_files(content: bytes, tmp_path: Path) -> None:
 
 
 def test_an_operator_that_nobody_knows_is_named(tmp_path: Path) -> None:
-    made = finished(Made())
+    made = Made().finished()
     made.nodes[1].op_type = "Frobnicate"
     with pytest.raises(InputError, match=r"m\.onnx: not an ONNX model that onnxruntime can run .*Frobnicate"):
         load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
@@ -43,7 +37,7 @@ def test_an_operator_that_nobody_knows_is_named(tmp_path: Path) -> None:
 
 def tampered(folder: Path, change: Callable[[object], None]) -> Path:
     """A finished network whose first weights were changed in the file."""
-    path = finished(Made()).save(folder / "m.onnx")
+    path = Made().finished().save(folder / "m.onnx")
     model = onnx.load(str(path))
     change(model.graph.initializer[0])
     path.write_bytes(model.SerializeToString())
@@ -71,14 +65,14 @@ def test_a_path_of_weights_that_no_path_can_be(tmp_path: Path) -> None:
 
 
 def test_nobody_among_its_classes(tmp_path: Path) -> None:
-    path = finished(Made()).save(tmp_path / "m.onnx", names="{0: 'cat', 1: 'dog'}")
+    path = Made().finished().save(tmp_path / "m.onnx", names="{0: 'cat', 1: 'dog'}")
     with pytest.raises(InputError, match=r"no class 'person' among its 2 \(cat, dog\); name one with --person-class"):
         load_detector(f"onnx:{path}")
     assert load_detector(f"onnx:{path}@person=dog").person == 1
 
 
 def test_sides_that_may_be_any(tmp_path: Path) -> None:
-    path = finished(Made()).save(tmp_path / "any.onnx", sides=("height", "width"))
+    path = Made().finished().save(tmp_path / "any.onnx", sides=("height", "width"))
     for size, cells in (((64, 64), 64), ((96, 160), 240)):
         detector = load_detector(f"onnx:{path}@{size[0]}x{size[1]}")
         assert detector.differentiable and detector.input_size == size
@@ -103,7 +97,7 @@ def test_resize_to_sizes(tmp_path: Path) -> None:
 
 def test_a_batch_fixed_to_several(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"two.onnx: its batch is fixed to 2 images; export it for one"):
-        load_detector(f"onnx:{finished(Made()).save(tmp_path / 'two.onnx', batch=2)}")
+        load_detector(f"onnx:{Made().finished().save(tmp_path / 'two.onnx', batch=2)}")
 
 
 def test_a_black_box_of_a_fixed_batch_is_asked_image_by_image(tmp_path: Path, caplog) -> None:
@@ -127,7 +121,7 @@ def test_a_black_box_of_a_fixed_batch_is_asked_image_by_image(tmp_path: Path, ca
 
 def suppressing() -> Made:
     """A finished network, and NonMaxSuppression on what it finds, whose indices are `chosen`."""
-    made = finished(Made())
+    made = Made().finished()
     made.node("Transpose", "boxes", "corners", perm=[0, 2, 1])
     for name, value in (("one", 1), ("two", 2), ("most", 20)):
         made.weight(name, np.array([value]), INT)
@@ -186,41 +180,31 @@ def test_raw_heads_of_yolo(dimensions: int, tmp_path: Path) -> None:
 
 
 def test_the_kit_asks_onnxruntime(tmp_path: Path) -> None:
-    path = finished(Made()).save(tmp_path / "m.onnx")
+    path = Made().finished().save(tmp_path / "m.onnx")
     detector = load_detector(f"onnx:{path}@conf=0.3")
     report = verify(detector, images(5, SIDE, SIDE))
     assert report["failed"] == [] and report["layout"] == "yolov8" and report["operating_point"] == 0.3
     assert 0 < report["forward_ratio"] and report["parity_scores"] <= 1e-4 and report["parity_boxes_px"] <= 0.05
     next(m for m in detector.modules() if isinstance(m, torch.nn.Conv2d)).weight.mul_(1.1)
     assert verify(detector, images(4, SIDE, SIDE))["failed"] == ["parity"]
-    finished(Made()).save(path, names="{0: 'dog', 1: 'person'}")
+    Made().finished().save(path, names="{0: 'dog', 1: 'person'}")
     with pytest.raises(InputError, match=r"m\.onnx: changed since it was loaded"):
         detector.original()
 
 
-def one_class() -> Made:
-    """Boxes and a single class: the first of the two that `Made` has."""
-    made = Made()
-    made.body()
-    made.head()
-    made.weight("five", np.array([5]), onnx.TensorProto.INT64)
+def test_a_single_class_without_a_name_is_the_person(tmp_path: Path) -> None:
+    made = Made().finished()  # of its two classes the first is left
+    made.weight("five", np.array([5]), INT)
     made.nodes[-1].output[0] = made.nodes[-1].name = "both"
     made.node("Slice", "both from five axis", "output")
-    return made
-
-
-def test_a_single_class_without_a_name_is_the_person(tmp_path: Path) -> None:
-    detector = load_detector(f"onnx:{one_class().save(tmp_path / 'm.onnx', names='')}")
+    detector = load_detector(f"onnx:{made.save(tmp_path / 'm.onnx', names='')}")
     assert detector.person == 0 and detector.class_names is None and detector(images(1)).other is None
     with pytest.raises(InputError, match=r"no class 'person' among its 1 \(face\)"):
-        load_detector(f"onnx:{one_class().save(tmp_path / 'face.onnx', names=repr(['face']))}")
+        load_detector(f"onnx:{made.save(tmp_path / 'face.onnx', names=repr(['face']))}")
 
 
 def test_a_json_file_beside_it_says_names_person_and_more(tmp_path: Path) -> None:
-    made = Made()
-    made.body()
-    made.head()
-    path = made.save(tmp_path / "m.onnx", names="")
+    path = Made().finished().save(tmp_path / "m.onnx", names="")
     said = {
         "classes": {"0": "pedestrian", "1": "vehicle"},
         "person_class": 0,
@@ -238,10 +222,7 @@ def test_a_json_file_beside_it_says_names_person_and_more(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("text", ["[1, 2]", "{", '{"classes": {"a": 1}, "person_class": true, "confidence": "high"}'])
 def test_another_programs_json_is_left_alone(text: str, tmp_path: Path) -> None:
-    made = Made()
-    made.body()
-    made.head()
-    path = made.save(tmp_path / "m.onnx")
+    path = Made().finished().save(tmp_path / "m.onnx")
     path.with_suffix(".json").write_text(text)
     detector = load_detector(f"onnx:{path}")
     assert detector.class_names == ("cat", "person") and detector.operating_point_assumed and detector.pixels_assumed
@@ -254,13 +235,3 @@ def test_a_classifier_is_called_one(tmp_path: Path) -> None:
     made.node("Flatten", "grid", "output", axis=1)
     with pytest.raises(InputError, match=r"m.onnx: not a detector: one output, output \[1, 1000\]"):
         load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
-
-
-def test_an_input_that_is_not_square(tmp_path: Path) -> None:
-    made = Made()
-    made.body()
-    made.head()
-    detector = load_detector(f"onnx:{made.save(tmp_path / 'm.onnx', sides=(48, 80))}")
-    assert detector.input_size == (48, 80)
-    report = verify(detector)
-    assert report["failed"] == [], report["checks"]

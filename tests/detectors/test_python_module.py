@@ -59,16 +59,16 @@ def images(count: int = 2) -> torch.Tensor:
     ("old", "new", "line", "words"),
     [
         ("import sys\n", "import sys; sys.exit(0)\n", 2, "SystemExit: it ends the process with 0"),
-        ("import sys\n", "1 / 0\n", 2, "ZeroDivisionError: division by zero"),
         ("import sys\n", "def f(:\n", 2, "SyntaxError: "),
         ("    return Mine()", "    raise KeyError('weights')", LAST, "KeyError: 'weights'"),
-        ("    return Mine()", "    sys.exit(0)", LAST, "SystemExit"),
-        ("    return Mine()", "    raise BaseException('away')", LAST, "BaseException: away"),
         ("    return Mine()", "    raise GeneratorExit", LAST, "GeneratorExit"),
+        ("torch.zeros(1))", "torch.eye(3).to_sparse())", None, r"\w+: "),  # which cannot be hashed
+        ("torch.zeros(1))", "torch.nn.UninitializedBuffer())", None, r"\w+: "),
     ],
 )
-def test_what_loading_it_runs_into(tmp_path: Path, old: str, new: str, line: int, words: str) -> None:
-    with pytest.raises(InputError, match=rf"python:.*mine\.py:load: .*mine\.py:{line}: {words}") as said:
+def test_what_loading_it_runs_into(tmp_path: Path, old: str, new: str, line: int | None, words: str) -> None:
+    place = "" if line is None else rf".*mine\.py:{line}: "
+    with pytest.raises(InputError, match=rf"python:.*mine\.py:load: {place}{words}") as said:
         detector(tmp_path, old, new)
     assert "\n" not in str(said.value)
 
@@ -78,44 +78,15 @@ def test_what_loading_it_runs_into(tmp_path: Path, old: str, new: str, line: int
     [
         ("scores = images", "raise RuntimeError('two\\nlines'); scores = images", SCORES, "RuntimeError: two$"),
         ("scores = images", "sys.exit(0); scores = images", SCORES, "SystemExit"),
-        ("scores = images", "raise BaseException('away'); scores = images", SCORES, "BaseException: away"),
         ("images.mean", "images.detach().mean", FORWARD, "its scores carry no gradient"),
         ("[:, None]\n", "[:, None] * 5\n", FORWARD, r"scores must lie in \[0, 1\]"),
-        ("[:, None]\n", "[:, None] - 5\n", FORWARD, r"scores must lie in \[0, 1\]"),
         ("[:, None]\n", "[:, None] * float('nan')\n", FORWARD, r"scores must lie in \[0, 1\].* nan"),
         ("scores = images", "self.count += 1; scores = images", FORWARD, "changes its own parameters or buffers"),
         ("scores = images", "self.count = self.count + 1; scores = images", FORWARD, "changes its own parameters"),
-        ("return boxes, scores", "return scores", FORWARD, r"must return \(boxes, scores\)"),
-        (
-            "return boxes, scores",
-            "return boxes * float('nan'), scores",
-            FORWARD,
-            "a corner of its boxes is not a finite",
-        ),
-        (
-            "return boxes, scores",
-            "return boxes + float('inf'), scores",
-            FORWARD,
-            "a corner of its boxes is not a finite",
-        ),
-        (
-            "return boxes, scores",
-            "return boxes + torch.tensor([5.0, 5, 1, 1]), scores",
-            FORWARD,
-            "a box has its corners swapped",
-        ),
-        (
-            "return boxes, scores",
-            "return boxes, torch.rand(len(images), 1) + 0 * scores",
-            FORWARD,
-            "asked twice about the same images: best scores differ by 0",
-        ),
-        (
-            "return boxes, scores",
-            "return boxes, scores / len(images)",
-            FORWARD,
-            "sees an image alone and among others: best scores differ by 0",
-        ),
+        ("return boxes,", "return boxes * float('nan'),", FORWARD, "a corner of its boxes is not a finite"),
+        ("return boxes,", "return boxes + torch.tensor([5.0, 5, 1, 1]),", FORWARD, "a box has its corners swapped"),
+        (", scores\n", ", torch.rand(2, 1) + 0 * scores\n", FORWARD, "asked twice about the same images: best scores"),
+        (", scores\n", ", scores / len(images)\n", FORWARD, "sees an image alone and among others: best scores"),
     ],
 )
 def test_what_running_it_runs_into(tmp_path: Path, old: str, new: str, line: int, words: str) -> None:
@@ -151,15 +122,6 @@ def test_no_box_at_all_leaves_a_gradient_of_zero(tmp_path: Path) -> None:
     batch = images()
     made(batch).scores.sum().backward()
     assert batch.grad is not None and not batch.grad.any()
-
-
-@pytest.mark.parametrize(
-    "made", ["torch.zeros(3, device='meta')", "torch.eye(3).to_sparse()", "torch.nn.UninitializedBuffer()"]
-)
-def test_a_state_that_cannot_be_hashed(tmp_path: Path, made: str) -> None:
-    with pytest.raises(InputError, match=r"python:.*mine\.py:load: \w+: ") as said:
-        detector(tmp_path, "torch.zeros(1))", made + ")")
-    assert "\n" not in str(said.value)
 
 
 def test_an_error_in_its_backward_pass_is_its_own(tmp_path: Path) -> None:
@@ -198,13 +160,10 @@ def test_data_beside_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         return detector_record(detector(tmp_path, "import sys\n", reads))
 
     before = record(1)
+    assert set(before["source"]) == {"file", "function", "input_size", "letterbox", "data"}
     assert record(1) == before and list(before["source"]["data"]) == [
         {"a name": "data/inner.json", "its own name": "mine.json"}.get(read, "scale.json")
     ]
     assert record(2) != before
     (tmp_path / "bystander.json").write_text("2")
     assert record(1) == before
-
-
-def test_a_detector_without_data_is_known_as_before(tmp_path: Path) -> None:
-    assert set(detector_record(detector(tmp_path))["source"]) == {"file", "function", "input_size", "letterbox"}

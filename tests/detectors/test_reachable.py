@@ -21,7 +21,6 @@ from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.evaluate import identity
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
-from cloak_core.detectors.maite import is_maite_model
 from cloak_core.detectors.objects import as_detector
 from cloak_core.studies.trained_run import trained_against
 from tests.core.fakes import MadeViews, noise_backgrounds
@@ -230,12 +229,6 @@ def test_two_that_differ_in_one_place_are_two(name: str) -> None:
     one, again, other = record_of(make(first)), record_of(make(first)), record_of(make(second))
     assert one == again and one["source"] != other["source"] and one["found again by"] != other["found again by"]
     assert "unknown" not in one["source"]["content"]
-
-
-def test_fifty_pairs_or_more() -> None:
-    assert len(PAIRS) >= 50 and is_maite_model(Model(1))
-    records = [record_of(make(value))["source"]["content"] for make, *values in PAIRS.values() for value in values]
-    assert len(set(records)) >= len(PAIRS)
 
 
 @pytest.mark.parametrize("make", [threading.Lock, lambda: (i for i in ()), lambda: sys.stdout])

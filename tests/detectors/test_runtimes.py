@@ -96,9 +96,6 @@ def test_mediapipes_person_is_made_of_two_key_points() -> None:
     assert found.boxes.isfinite().all() and guess((1, 2254, 12), (1, 2254, 1)) == "mediapipe-pose"
 
 
-# --- OpenVINO ---------------------------------------------------------------------------------------------------------
-
-
 def ir(folder: Path, suppressed: bool = False, batch: int = 1) -> Path:
     """A small network: one convolution to an 8 x 12 grid, as YOLOv8 lays it out or into SSD's DetectionOutput."""
     if find_spec("openvino") is None:
@@ -194,9 +191,6 @@ def test_files_that_openvino_does_not_run(tmp_path: Path) -> None:
         load_detector(f"openvino:{path}")
     with pytest.raises(InputError, match=r"net.xml: its batch is fixed to 2 images"):
         load_detector(f"openvino:{ir(tmp_path, batch=2)}")
-
-
-# --- TFLite -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

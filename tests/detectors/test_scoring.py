@@ -64,13 +64,6 @@ def test_iou_equals_counting(values: list[float]) -> None:
     assert box_iou(a, b).item() == pytest.approx(both / either if either else 0.0, abs=1e-6)
 
 
-def test_suppression_keeps_the_best() -> None:
-    boxes = [[[0.0, 0, 10, 10], [1.0, 0, 11, 10], [30.0, 0, 40, 10], [0.0, 0, 10, 10]]]
-    kept = person_boxes(found([[0.7, 0.9, 0.8, 0.1]], boxes))[0]
-    assert kept[:, 4].tolist() == pytest.approx([0.9, 0.8])
-    assert kept[0, :4].tolist() == [1.0, 0.0, 11.0, 10.0]
-
-
 def suppressed_one_by_one(rows: torch.Tensor, nms: float) -> torch.Tensor:
     """The best box, then the best of those that overlap no kept one, and so on: what suppression means."""
     rows, kept = rows[rows[:, 4].argsort(descending=True, stable=True)], []
@@ -80,9 +73,8 @@ def suppressed_one_by_one(rows: torch.Tensor, nms: float) -> torch.Tensor:
     return torch.stack(kept)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("nms", [0.25, 0.45, 0.5])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_suppression_is_the_plain_loop(seed: int, nms: float) -> None:
     """On random boxes: many overlap by exactly 1/4 or 1/2, scores tie, some are empty or have swapped corners."""
     rng = torch.Generator().manual_seed(seed)

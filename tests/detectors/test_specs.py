@@ -2,15 +2,11 @@
 
 import pytest
 
-from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import split_spec
-from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.sources.bodies.people import anny
 from cloak_core.studies.report.words import short_name
-from tests.core.fakes import box_bodies
 
 
 @pytest.mark.parametrize(
@@ -58,18 +54,6 @@ def test_files_on_windows_drives_are_looked_for_whole(spec: str, named: str) -> 
         load_detector(spec)
 
 
-def test_poses_on_a_windows_drive(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def drawn(*given):
-        asked.append(given)
-        return box_bodies()
-
-    monkeypatch.setattr(anny, "anny_bodies", drawn)
-    load_scene(r"anny:8:1:C:\poses\walk.npy")
-    assert asked == [(8, 1, r"C:\poses\walk.npy")]
-
-
 def test_short_names_leave_folders_out() -> None:
     assert short_name(r"darknet:C:\dir\a.cfg:C:\dir\a.weights@224") == "darknet a @224"
     assert short_name("darknet:/dir/a.cfg:/dir/a.weights") == "darknet a"
@@ -88,9 +72,3 @@ def test_short_names_leave_folders_out() -> None:
 def test_what_a_family_does_not_take_is_refused_before_anything_is_read(spec: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         load_detector(spec)
-
-
-def test_every_family_names_a_loader_and_its_form() -> None:
-    for name, family in FAMILIES.items():
-        least = family.spec.partition("[")[0].count(":")
-        assert family.spec.startswith(name) and family.parts[0] == least

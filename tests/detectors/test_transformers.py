@@ -7,11 +7,9 @@ import pytest
 import torch
 
 from cloak_core.core.detector.protocol import state_hash
-from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images, others_are_the_rest
-from tests.detectors.test_gradients import lowers_score
+from tests.detectors.helpers import images, lowers_score, others_are_the_rest
 
 transformers = pytest.importorskip("transformers", reason="pip install 'cloak-core[transformers]'")
 
@@ -57,9 +55,7 @@ def save(name: str, folder: Path):
         torch.manual_seed(3)
         model = getattr(transformers, f"{name}ForObjectDetection")(config(name)).eval()
         with torch.no_grad():
-            for (
-                parameter
-            ) in model.parameters():  # livelier than the library's initialisation, which nearly ignores the image
+            for parameter in model.parameters():  # as the library draws them the image hardly matters
                 if parameter.dim() > 1:
                     parameter.mul_(3 if name == "Yolos" else 1.5)
             for module in filter(has_statistics, model.modules()):  # that fold into the convolutions before them
@@ -89,9 +85,6 @@ def test_equals_the_library(name: str, tmp_path: Path) -> None:
     x, y, w, h = theirs.pred_boxes.unbind(-1)
     by_hand = torch.stack([(x - w / 2) * 96, (y - h / 2) * 64, (x + w / 2) * 96, (y + h / 2) * 64], dim=-1)
     torch.testing.assert_close(found.boxes, by_hand)
-    batch = batch.requires_grad_()
-    (gradient,) = torch.autograd.grad(max_person_score(detector(batch)).sum(), batch)
-    assert bool(gradient.isfinite().all()) and bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
 
 
 @pytest.mark.long

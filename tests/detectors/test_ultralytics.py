@@ -11,12 +11,10 @@ import torch
 from torch import nn
 
 from cloak_core.core.detector.protocol import detector_record, state_hash
-from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.classes import COCO
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images, others_are_the_rest
-from tests.detectors.test_gradients import lowers_score
+from tests.detectors.helpers import images, lowers_score, others_are_the_rest
 
 # Asked without importing it: what it patches would stay so for the tests that follow.
 if find_spec("ultralytics") is None:
@@ -137,20 +135,12 @@ def test_a_gradient_step_lowers_the_score(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["yolov10n", *long("yolov8n", "yolov8n-rtdetr")])
-def test_the_gradient_is_the_slope(name: str) -> None:
-    detector = load_detector(f"ultralytics:{name}.yaml@{SIDE}").double()
-    batch = images(1, SIDE, SIDE).double().requires_grad_()
-    (gradient,) = torch.autograd.grad(max_person_score(detector(batch)).sum(), batch)
-    direction = gradient / gradient.norm()
-    with torch.no_grad():
-        ends = [max_person_score(detector(batch + sign * 1e-6 * direction)).sum() for sign in (1, -1)]
-    assert (ends[0] - ends[1]).item() / 2e-6 == pytest.approx(gradient.norm().item(), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_a_checkpoint(small: Path) -> None:
+def test_a_checkpoint(small: Path, tmp_path: Path) -> None:
     detector = load_detector(f"ultralytics:{small}")
+    (tmp_path / "other.pt").write_bytes(small.read_bytes())
+    record = detector_record(detector)
+    assert record == detector_record(load_detector(f"ultralytics:{tmp_path / 'other.pt'}"))
+    assert record["packages"]["ultralytics"] == version("ultralytics")
     assert detector.person == 1 and detector.input_size == (96, 96) and detector.name == "best"
     assert detector.operating_point == 0.25 and detector.operating_point_assumed and detector.letterbox
     batch = images(2, 96, 96)
@@ -173,15 +163,6 @@ def test_options_of_the_spec(small: Path) -> None:
     plain = load_detector(f"ultralytics:{small}@64x128,person=dog,stretch", fold=False)
     assert [m for m in plain.modules() if isinstance(m, nn.BatchNorm2d)]
     torch.testing.assert_close(plain(images(1, 50, 200)).scores, found.scores, atol=1e-6, rtol=1e-3)
-
-
-@pytest.mark.slow
-def test_what_decides_its_answers_is_recorded(small: Path, tmp_path: Path) -> None:
-    copied = tmp_path / "other.pt"
-    copied.write_bytes(small.read_bytes())
-    first, second = (detector_record(load_detector(f"ultralytics:{path}")) for path in (small, copied))
-    assert first == second and first["packages"]["ultralytics"] == version("ultralytics")
-    assert first != detector_record(load_detector(f"ultralytics:{small}@64"))
 
 
 @pytest.mark.slow
@@ -208,16 +189,12 @@ def test_a_description_of_ones_own(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_averaged_model_counts(small: Path, tmp_path: Path) -> None:
-    path = save(lively("yolov8n", 3), tmp_path / "mid.pt", train_args={"imgsz": 64})
-    content = torch.load(path, weights_only=False)
-    content["ema"], other = content["model"], copy.deepcopy(content["model"])
-    with torch.no_grad():
-        for p in other.parameters():
-            p.zero_()
-    content["model"] = other
-    torch.save(content, path)
-    detector = load_detector(f"ultralytics:{path}@96,person=1")
-    expected = load_detector(f"ultralytics:{small}")
+    content = torch.load(small, weights_only=False)
+    content["ema"], content["model"] = content["model"], copy.deepcopy(content["model"])
+    for parameter in content["model"].parameters():
+        parameter.data.zero_()
+    torch.save(content, tmp_path / "mid.pt")
+    detector, expected = (load_detector(f"ultralytics:{path}") for path in (tmp_path / "mid.pt", small))
     torch.testing.assert_close(detector(images(1)).scores, expected(images(1)).scores)
 
 
@@ -251,10 +228,8 @@ def test_the_first_layer_of_early_yolov9_files() -> None:
 
 BAD = {
     "nc: [": "not YAML",
-    "[1, 2]": "describes no network",
     "nc: 2\nbackbone: []\nhead: []": "describes no network",
     "nc: 2\nbackbone: [[-1, 1, Conv, [8, 3, 2]]]\nhead: [[[0], 1, Classify, [nc]]]": "its head is Classify",
-    "nc: 2\nbackbone: [[-1, 1, Conv, [8, 3, 2]]]\nhead: [[[0], 1, OBB, [nc, 1]]]": "its head is OBB",
     "nc: 2\nbackbone: [[-1, 1, YAML, [8]]]\nhead: [[[0], 1, Detect, [nc]]]": "a layer 'YAML', which is none",
     "nc: 2\nbackbone: [[-1, 1, DetectionModel, [http://a/b.yaml]]]\nhead: [[[0], 1, Detect, [nc]]]": "a layer 'Detec",
     "nc: 2\nbackbone: [[-1, 1, TorchVision, [512, resnet18]]]\nhead: [[[0], 1, Detect, [nc]]]": "fetches weights",
@@ -281,9 +256,7 @@ def test_descriptions_that_are_refused(text: str, tmp_path: Path) -> None:
     [
         ("yolov8n.yaml@100", r"an input of 100x100 is not a multiple of 32"),
         ("yolov99n.yaml", r"no such file, and ultralytics has none of that name \(near: yolov"),
-        ("yolov8n-cls.yaml", "its head is Classify; detection is needed"),
         ("yolo11-cls-resnet18.yaml", "a layer TorchVision, which fetches weights"),
-        ("yolov8n-world.yaml", "its head is WorldDetect"),
         ("yolov8n.yaml@64,person=unicorn", "no class 'unicorn' among its 80"),
         ("yolov8n.yaml@bgr", "bgr, range, mean and std are for onnx:FILE"),
         ("yolov8n.onnx", r"expected a checkpoint \(.pt\) or a description \(.yaml\)"),

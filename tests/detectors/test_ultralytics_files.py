@@ -19,8 +19,7 @@ from cloak_core.detectors import extras
 from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images
-from tests.detectors.test_gradients import lowers_score
+from tests.detectors.helpers import images, lowers_score
 
 # Asked without importing it: what it patches would stay so for the tests that follow.
 if find_spec("ultralytics") is None:

@@ -14,19 +14,8 @@ from cloak_core.detectors.verification.comparing import apart
 from cloak_core.detectors.verification.kit import CHECKS, original_of
 from tests.detectors.helpers import images, write_tiny
 
-KEYS = {
-    "spec": str,
-    "layout": str,
-    "white_box": bool,
-    "parity_scores": float,
-    "parity_boxes_px": float,
-    "gradient_error": float,
-    "batch_invariant": bool,
-    "forward_ratio": float,
-    "operating_point": float,
-    "person_class": int,
-    "failed": list,
-}
+KEYS = dict.fromkeys(("parity_scores", "parity_boxes_px", "gradient_error", "forward_ratio", "operating_point"), float)
+KEYS |= {"spec": str, "layout": str, "white_box": bool, "batch_invariant": bool, "person_class": int, "failed": list}
 
 
 class Fake(Detector):
@@ -80,7 +69,8 @@ def test_nothing_is_wrong_with_a_sound_wrapper() -> None:
 
 @pytest.mark.parametrize("wrong", [name for name in CHECKS if name not in ("descent", "parity", "speed")] + ["state"])
 def test_a_broken_promise_is_found(wrong: str) -> None:
-    assert wrong in verify(Fake(wrong), images(4))["failed"]
+    failed = verify(Fake(wrong), images(4))["failed"]
+    assert wrong in failed and ("descent" in failed or wrong != "gradient")
 
 
 def test_what_a_wrapper_raises_is_said() -> None:
@@ -89,10 +79,6 @@ def test_what_a_wrapper_raises_is_said() -> None:
     told = {name: check["words"] for name, check in report["checks"].items() if name != "shapes"}
     assert set(told.values()) == {"not asked: shapes failed"} and set(told) == {*CHECKS, "state"} - {"shapes"}
     assert report["checks"]["shapes"]["words"] == "KeyError: 'weights'" and report["gradient_error"] is None
-
-
-def test_a_gradient_that_leads_nowhere_does_not_descend() -> None:
-    assert {"gradient", "descent"} <= set(verify(Fake("gradient"), images(4))["failed"])
 
 
 def test_another_answer_than_the_originals_is_found() -> None:
@@ -134,11 +120,11 @@ def test_our_own_families(family: str, tmp_path: Path) -> None:
     assert {key: type(report[key]) for key in KEYS} == KEYS
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["ssdlite320_mobilenet_v3_large", pytest.param("fasterrcnn_mobilenet_v3_large_320_fpn", marks=pytest.mark.long)],
-)
+LONG = pytest.param("fasterrcnn_mobilenet_v3_large_320_fpn", marks=pytest.mark.long)
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["ssdlite320_mobilenet_v3_large", LONG])
 def test_torchvision(name: str, tmp_path: Path) -> None:
     from tests.detectors.test_torchvision import SIDE, Case
 
@@ -148,9 +134,7 @@ def test_torchvision(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "name", ["DFine", "Yolos", *[pytest.param(name, marks=pytest.mark.long) for name in ("Detr", "ConditionalDetr")]]
-)
+@pytest.mark.parametrize("name", ["DFine", "Yolos", "Detr", "ConditionalDetr"])
 def test_transformers(name: str, tmp_path: Path) -> None:
     from tests.detectors.test_transformers import save
 
@@ -175,13 +159,6 @@ def test_a_forgotten_conversion_of_boxes_is_found_at_another_size(tmp_path: Path
     (tmp_path / "forgotten.py").write_text(forgotten)
     report = verify(load_detector(f"python:{tmp_path / 'forgotten.py'}:load"), images(4, 256, 256))
     assert report["failed"] == ["another size"] and "4 stay as they were" in report["checks"]["another size"]["words"]
-
-
-def test_a_black_box_of_ones_own(tmp_path: Path) -> None:
-    text = EXAMPLE.read_text("utf-8").replace("    # differentiable = False", "    differentiable = False")
-    (tmp_path / "black.py").write_text(text.replace("classes.softmax(-1)", "classes.detach().softmax(-1)"))
-    report = verify(load_detector(f"python:{tmp_path / 'black.py'}:load"), images(4))
-    assert report["failed"] == [] and not report["white_box"] and report["gradient_error"] is None
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.loading import load_detector
-from tests.detectors.test_gradients import lowers_score
+from tests.detectors.helpers import lowers_score
 
 WEIGHTS = {
     "yolo-lite": "yolo-lite-coco-trial6.cfg yolo-lite-coco-trial6_653550.weights",

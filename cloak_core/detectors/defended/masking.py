@@ -31,7 +31,9 @@ class PatchSegmenter(nn.Module):
         self.last = nn.Conv2d(width, 1, 1)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 h w"]:
-        x = self._shrunk(images) - 0.5
+        scale = SIDE / max(images.shape[2:])
+        size = [max(STRIDE, round(n * scale / STRIDE) * STRIDE) for n in images.shape[2:]]
+        x = F.interpolate(images, size, mode="bilinear", align_corners=False, antialias=True) - 0.5
         levels = []
         for layer in self.down:
             x = layer(x)
@@ -40,12 +42,6 @@ class PatchSegmenter(nn.Module):
         for layer, finer in zip(self.up, levels[-2::-1], strict=True):
             x = layer(torch.cat([F.interpolate(x, finer.shape[2:], mode="nearest"), finer], 1))
         return self.last(x)
-
-    @staticmethod
-    def _shrunk(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 h w"]:
-        scale = SIDE / max(images.shape[2:])
-        size = [max(STRIDE, round(n * scale / STRIDE) * STRIDE) for n in images.shape[2:]]
-        return F.interpolate(images, size, mode="bilinear", align_corners=False, antialias=True)
 
 
 def load_segmenter(path: Path = WEIGHTS) -> PatchSegmenter:

@@ -54,7 +54,13 @@ class Masks(Defence):
         """Join the answers: those under masks without the boxes that the whole image's boxes explain."""
         whole = inner(images)
         best = _best(whole)
-        found = [_without(part, _explained(part, best)) for part in self.answers(inner, images)]
+        found = []
+        for answer in self.answers(inner, images):
+            dropped = _explained(answer, best)
+            # In their place stands padding: a box of zeros and scores of 0.
+            found.append(
+                answer.each(lambda part, d=dropped: part.masked_fill(d.view(d.shape + (1,) * (part.dim() - 2)), 0))
+            )
         return Detections(
             *(None if parts[0] is None else torch.cat(parts, 1) for parts in zip(whole, *found, strict=True))
         )
@@ -69,8 +75,7 @@ def spans(length: int, patch: int, count: int = GRID) -> list[tuple[int, int]]:
 
 def _best(found: Detections) -> Detections:
     rows = found.scores.topk(min(KEPT, found.scores.shape[1]), dim=1).indices
-    chosen = (torch.arange(len(rows), device=rows.device)[:, None], rows)
-    return Detections(*(None if part is None else part[chosen] for part in found))
+    return found.each(lambda part: part[torch.arange(len(rows), device=rows.device)[:, None], rows])
 
 
 def _explained(found: Detections, whole: Detections) -> Bool[Tensor, "B n"]:
@@ -80,9 +85,3 @@ def _explained(found: Detections, whole: Detections) -> Bool[Tensor, "B n"]:
     own = (a[..., 2:] - a[..., :2]).clamp(min=0).prod(-1)
     inside = sides.prod(-1) >= EXPLAINED * own
     return (inside & (whole.scores[:, None] >= found.scores[:, :, None])).any(2)
-
-
-def _without(found: Detections, dropped: Bool[Tensor, "B n"]) -> Detections:
-    """Replace these rows by padding: a box of zeros and scores of 0."""
-    blank = lambda part: part.masked_fill(dropped[..., None] if part.dim() == 3 else dropped, 0)
-    return Detections(*(None if part is None else blank(part) for part in found))

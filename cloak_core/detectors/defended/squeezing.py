@@ -141,12 +141,11 @@ class ResizePad(Defence):
 
     def placed(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Float[Tensor, "B 3 H W"], Float[Tensor, "B 3"]]:
         pixels = (images.detach() * 255).round().clamp(0, 255).to(torch.uint8).cpu().contiguous().numpy()
-        windows = torch.tensor([self._window(zlib.crc32(image.tobytes())) for image in pixels])
-        windows = windows.to(images).view(-1, 3)
+        windows = []
+        for image in pixels:
+            random = np.random.default_rng([zlib.crc32(image.tobytes()), 0x9AD])
+            side = 1 / (1 - random.uniform(0, self.margin))
+            x, y = random.uniform(-1, 1, 2) * (side - 1)
+            windows.append((side, float(x), float(y)))
+        windows = torch.tensor(windows).to(images).view(-1, 3)
         return windowed(images, windows), windows
-
-    def _window(self, seed: int) -> tuple[float, float, float]:
-        random = np.random.default_rng([seed, 0x9AD])
-        side = 1 / (1 - random.uniform(0, self.margin))
-        x, y = random.uniform(-1, 1, 2) * (side - 1)
-        return side, float(x), float(y)

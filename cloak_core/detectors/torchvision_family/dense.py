@@ -28,7 +28,10 @@ class DenseDetector(TorchvisionDetector):
         classes = self._classes(outputs)
         scores = self._scores(classes[..., self.person], outputs)
         other = best_other(classes, self.person, self.first_class)
-        counts = _anchors_per_level(levels, len(anchors))
+        cells = [level.shape[2] * level.shape[3] for level in levels]
+        per_cell, rest = divmod(len(anchors), sum(cells))
+        # SSD's levels differ in anchors per cell: all of its anchors are one level here.
+        counts = [len(anchors)] if rest else [count * per_cell for count in cells]
         kept = _best_per_level(scores, counts)
         count, found = kept.shape[1], scores.gather(1, kept)
         if other.scores is None:
@@ -83,18 +86,11 @@ class DenseDetector(TorchvisionDetector):
         return coder.decode(deltas, anchors) if isinstance(self.model, FCOS) else coder.decode_single(deltas, anchors)
 
 
-def _anchors_per_level(levels: list[Tensor], anchors: int) -> list[int] | None:
-    """Count the anchors of each feature level; None where levels differ in anchors per cell (SSD)."""
-    cells = [level.shape[2] * level.shape[3] for level in levels]
-    per_cell, rest = divmod(anchors, sum(cells))
-    return None if rest else [count * per_cell for count in cells]
-
-
-def _best_per_level(scores: Float[Tensor, "B A"], counts: list[int] | None) -> Int[Tensor, "B n"]:
-    """Choose the anchors with the best scores of each feature level; counts: its anchors, None for one level."""
+def _best_per_level(scores: Float[Tensor, "B A"], counts: list[int]) -> Int[Tensor, "B n"]:
+    """Choose the anchors with the best scores of each feature level; counts: its anchors."""
     best = []
     first = 0
-    for level in scores.detach().split(counts or [scores.shape[1]], dim=1):
+    for level in scores.detach().split(counts, dim=1):
         best.append(level.topk(min(CANDIDATES, level.shape[1]), dim=1).indices + first)
         first += level.shape[1]
     return torch.cat(best, dim=1)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torchvision import models
 from torchvision.models import detection
 
@@ -62,7 +62,12 @@ def load_torchvision(request: Request) -> Detector:
     known = categories if count == len(categories) else None
     person = person_index(known, request.person, count, request.spec)
     if request.input_size is not None:
-        _set_input_size(model, request.input_size)
+        transform, (height, width) = model.transform, request.input_size
+        if transform.fixed_size is not None or height != width:
+            transform.fixed_size = (width, height)
+        else:
+            transform.max_size = max(height, round(transform.max_size * height / transform.min_size[-1]))
+            transform.min_size = (height,)
     model.eval()
     if request.fold:
         fold_batch_norm(model)
@@ -82,8 +87,7 @@ def wrapped(
     sizes = (model.transform.min_size, model.transform.max_size, model.transform.fixed_size)
     detector.source = {"model": name, "transform": str(sizes), "person": person}
     detector.packages = ("torchvision",)
-    detector.freeze()
-    return detector
+    return detector.freeze()
 
 
 def write_torchvision(path: Path, name: str, model: nn.Module) -> None:
@@ -99,7 +103,11 @@ def _read(name: str, path: Path, classes: int) -> tuple[nn.Module, int]:
     """Read a checkpoint into the model; count the classes of its weights, `classes` or their own number."""
     state = read_state_dict(path)
     model = _build(name, classes)
-    count = _class_count(model, state, classes, path)
+    own = model.state_dict()
+    key = next((key for key in CLASS_WEIGHTS if key in own and key in state), None)
+    if key is None:
+        raise InputError(f"{path}: not a checkpoint of this model, it lacks the classification layer")
+    count = state[key].shape[0] * classes // own[key].shape[0]
     model = model if count == classes else _build(name, count)
     load_state(model, state, path)
     if name in EPS_ZERO and not any(key.endswith("num_batches_tracked") for key in state):
@@ -131,20 +139,3 @@ def _cached(weights: models.WeightsEnum, request: Request) -> Path:
     except (OSError, RuntimeError) as error:
         raise InputError(f"detector {request.spec!r}: {weights.url} cannot be fetched ({error})") from error
     return path
-
-
-def _class_count(model: nn.Module, state: dict[str, Tensor], classes: int, path: Path) -> int:
-    own = model.state_dict()
-    for key in CLASS_WEIGHTS:
-        if key in own and key in state:
-            return state[key].shape[0] * classes // own[key].shape[0]
-    raise InputError(f"{path}: not a checkpoint of this model, it lacks the classification layer")
-
-
-def _set_input_size(model: nn.Module, size: tuple[int, int]) -> None:
-    transform, (height, width) = model.transform, size
-    if transform.fixed_size is not None or height != width:
-        transform.fixed_size = (width, height)
-    else:
-        transform.max_size = max(height, round(transform.max_size * height / transform.min_size[-1]))
-        transform.min_size = (height,)

@@ -98,12 +98,8 @@ class TwoStageDetector(TorchvisionDetector):
         flat_logits, flat_deltas = concat_box_prediction_layers(logits, deltas)
         boxes = rpn.box_coder.decode(at_least_float32(flat_deltas.detach()), anchors).view(len(anchors), -1, 4)
         objectness = at_least_float32(flat_logits.detach()).view(len(anchors), -1).sigmoid()
-        proposals = []
-        for image_boxes, image_scores, size in zip(boxes, objectness, batch.image_sizes, strict=True):
-            clipped = clip_boxes_to_image(image_boxes, size)
-            kept = self._keep(clipped, image_scores, counts)
-            proposals.append(clipped[kept])
-        return proposals
+        clipped = [clip_boxes_to_image(*one) for one in zip(boxes, batch.image_sizes, strict=True)]
+        return [b[self._keep(b, scores, counts)] for b, scores in zip(clipped, objectness, strict=True)]
 
     @torch.no_grad()
     def _keep(self, boxes: Float[Tensor, "A 4"], scores: Float[Tensor, " A"], counts: list[int]) -> Int[Tensor, " n"]:
@@ -116,9 +112,8 @@ class TwoStageDetector(TorchvisionDetector):
             levels.append(torch.full_like(top, level))
             offset += len(part)
         index, level_of = torch.cat(picked), torch.cat(levels)
-        for keep in (remove_small_boxes(boxes[index], rpn.min_size), None):
-            if keep is None:
-                keep = torch.where(scores[index] >= rpn.score_thresh)[0]
-            index, level_of = index[keep], level_of[keep]
+        large = remove_small_boxes(boxes[index], rpn.min_size)
+        large = large[scores[index[large]] >= rpn.score_thresh]
+        index, level_of = index[large], level_of[large]
         kept = batched_nms(boxes[index], scores[index], level_of, rpn.nms_thresh)[: rpn.post_nms_top_n()]
         return index[kept]
