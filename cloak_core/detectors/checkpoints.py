@@ -18,7 +18,20 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
 
     InputError when the file is missing, broken, holds pickled objects, or tensors that are not finite.
     """
-    state = _read(path)
+    try:
+        with open_regular(path) as file:
+            if path.suffix == ".safetensors":
+                from safetensors.torch import load
+
+                state = load(file.read())
+            else:
+                state = torch.load(file, map_location="cpu", weights_only=True)
+    except InputError:
+        raise
+    except pickle.UnpicklingError as error:
+        raise InputError(f"{path}: refused, it holds pickled objects and not only a plain state dict") from error
+    except Exception as error:  # torch and safetensors raise many kinds for broken files
+        raise InputError(f"{path}: cannot be read as a checkpoint ({first_line(error)[:200]})") from error
     for key in WRAPPERS:
         if isinstance(state, dict) and isinstance(state.get(key), dict):
             state = state[key]
@@ -42,19 +55,3 @@ def load_state(module: nn.Module, state: dict[str, Tensor], path: Path) -> None:
         parts = [f"{len(keys)} tensors {kind} ({keys[0]} ...)" for kind, keys in kinds if keys]
         raise InputError(f"{path}: does not fit the model: {', '.join(parts)}")
     module.load_state_dict(state, strict=False)
-
-
-def _read(path: Path) -> object:
-    try:
-        with open_regular(path) as file:
-            if path.suffix == ".safetensors":
-                from safetensors.torch import load
-
-                return load(file.read())
-            return torch.load(file, map_location="cpu", weights_only=True)
-    except InputError:
-        raise
-    except pickle.UnpicklingError as error:
-        raise InputError(f"{path}: refused, it holds pickled objects and not only a plain state dict") from error
-    except Exception as error:  # torch and safetensors raise many kinds for broken files
-        raise InputError(f"{path}: cannot be read as a checkpoint ({first_line(error)[:200]})") from error

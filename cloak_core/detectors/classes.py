@@ -123,10 +123,12 @@ def read_description(path: Path) -> Description:
         return Description()
     names = next((found for key in NAMES if (found := names_of(said.get(key)))), None)
     outputs, inputs = (part if isinstance(part, Mapping) else {} for part in (said.get("output"), said.get("input")))
-    layout = outputs.get("layout", said.get("layout"))
+    layout, person = outputs.get("layout", said.get("layout")), said.get("person_class")
+    if isinstance(person, str) and person in (names or ()):
+        person = names.index(person)
     return Description(
         names,
-        _person(said.get("person_class"), names),
+        person if isinstance(person, int) and not isinstance(person, bool) and person >= 0 else None,
         layout if isinstance(layout, str) else None,
         confidence_of(said),
         _pixels(inputs),
@@ -154,12 +156,6 @@ def confidence_of(said: Mapping[str, object]) -> float | None:
             if 0 < (value := float(said[key])) < 1:
                 return value
     return None
-
-
-def _person(said: object, names: tuple[str, ...] | None) -> int | None:
-    if isinstance(said, str) and names is not None and said in names:
-        return names.index(said)
-    return said if isinstance(said, int) and not isinstance(said, bool) and said >= 0 else None
 
 
 def _pixels(said: Mapping) -> PixelFormat | None:

@@ -30,11 +30,9 @@ class Family:
     """One kind of detector."""
 
     spec: str
-    """How its specs are written."""
+    """How its specs are written: parts between colons, of which those in brackets may be left out."""
     loader: str
     """MODULE:FUNCTION below cloak_core.detectors, imported when such a detector is asked for."""
-    parts: tuple[int, int | None]
-    """The least and the most parts after the family's name; None where colons belong to what is named."""
     weights: str
     """Where the weights come from."""
     licence: str
@@ -45,14 +43,13 @@ class Family:
     changes_networks: bool = True
     """What it loads is made faster (batch norm folded, memory laid out anew), and can be loaded without that."""
     trains: bool = True
-    evaluates: bool = True
     needs: tuple[str, ...] = ()
     """Packages beyond the project's own dependencies."""
 
     def check(self, request: Request) -> None:
         """Check a spec before any file is read. InputError: another form, an option that means nothing here."""
-        (least, most), parts = self.parts, request.parts
-        if not least <= len(parts) <= (len(parts) if most is None else most) or not all(parts):
+        needed, parts = self.spec.partition("[")[0].count(":"), request.parts
+        if not needed <= len(parts) <= self.spec.count(":") or not all(parts):
             raise InputError(f"detector {request.spec!r}: expected {self.spec}, @OPTIONS at the end if wanted")
         for name, why in self.refuses.items():
             if getattr(request, name) not in (None, False, PERSON):
@@ -70,7 +67,6 @@ FAMILIES = {
     "builtin": Family(
         spec="builtin[:WEIGHTS]",
         loader="builtin:load_builtin",
-        parts=(0, 1),
         weights="embedded, or your .weights of the same network (cloak harden)",
         licence="Apache-2.0",
         verified="clean recall and false alarms on held-out bodies and photographs",
@@ -78,7 +74,6 @@ FAMILIES = {
     "darknet": Family(
         spec="darknet:CFG:WEIGHTS",
         loader="darknet.detector:load_darknet",
-        parts=(2, 2),
         weights="your .cfg and .weights (YOLOv2, v3, v4, v7 and tiny ones)",
         licence="Darknet: public domain; weights: their authors'",
         verified="outputs of Darknet itself, the original and AlexeyAB's; real weights on photographs",
@@ -86,7 +81,6 @@ FAMILIES = {
     "torchvision": Family(
         spec="torchvision:NAME[:CHECKPOINT]",
         loader="torchvision_family.loading:load_torchvision",
-        parts=(1, 2),
         refuses=NO_LAYOUT | {"letterbox": "torchvision models resize by themselves; drop letterbox"},
         weights="your file, or the official checkpoint in the torch cache",
         licence="BSD-3-Clause; official weights: trained on COCO",
@@ -95,7 +89,6 @@ FAMILIES = {
     "transformers": Family(
         spec="transformers:DIRECTORY_OR_CACHED_NAME",
         loader="transformers_family:load_transformers",
-        parts=(1, None),
         refuses=NO_LAYOUT | {"letterbox": "the model's own processor resizes; drop letterbox"},
         needs=("transformers",),
         weights="your folder, or the local cache",
@@ -105,7 +98,6 @@ FAMILIES = {
     "onnx": Family(
         spec="onnx:FILE[:LAYOUT]",
         loader="onnx_family.detector:load_onnx",
-        parts=(1, 2),
         refuses={},
         changes_networks=False,
         needs=("onnxruntime", "onnx", "onnx2torch"),
@@ -115,8 +107,7 @@ FAMILIES = {
     ),
     "openvino": Family(
         spec="openvino:FILE.xml[:LAYOUT]",
-        loader="runtimes.openvino_file:load_openvino",
-        parts=(1, 2),
+        loader="runtimes:load_openvino",
         refuses={},
         changes_networks=False,
         trains=False,
@@ -127,8 +118,7 @@ FAMILIES = {
     ),
     "tflite": Family(
         spec="tflite:FILE.tflite[:LAYOUT]",
-        loader="runtimes.tflite_file:load_tflite",
-        parts=(1, 2),
+        loader="runtimes:load_tflite",
         refuses={},
         changes_networks=False,
         trains=False,
@@ -140,7 +130,6 @@ FAMILIES = {
     "ultralytics": Family(
         spec="ultralytics:FILE",
         loader="ultralytics_family.detector:load_ultralytics",
-        parts=(1, 1),
         refuses={name: why for name, why in NO_LAYOUT.items() if name != "stretch"},
         needs=("ultralytics",),
         weights="your .pt (ultralytics' or an original YOLOv5's), or a .yaml with random ones",
@@ -150,7 +139,6 @@ FAMILIES = {
     "python": Family(
         spec="python:FILE.py:FUNCTION",
         loader="python_module:load_python",
-        parts=(2, 2),
         refuses=NO_LAYOUT
         | {
             "person_class": "a python module returns the person's scores itself, it has no class to choose "
@@ -172,11 +160,11 @@ def list_families() -> dict[str, list[dict]]:
 
     `installed` says whether it works here and now; where not, `install` is the command that changes it, else None.
     """
-    told = ("spec", "trains", "evaluates", "needs", "weights", "licence", "verified")
     families = []
     for name, family in FAMILIES.items():
         missing = [package for package in family.needs if not installed(package)]
         install = install_command(missing[0]) if missing else None
-        row = {key: getattr(family, key) for key in told} | {"needs": ", ".join(family.needs) or None}
-        families.append({"family": name, **row, "installed": not missing, "install": install})
+        row = {"family": name, "spec": family.spec, "trains": family.trains, "evaluates": True}
+        row |= {"needs": ", ".join(family.needs) or None, "weights": family.weights, "licence": family.licence}
+        families.append(row | {"verified": family.verified, "installed": not missing, "install": install})
     return {"families": families, "defences": list_defences()}

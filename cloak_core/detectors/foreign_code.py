@@ -51,7 +51,13 @@ def limited() -> Iterator[None]:
     Python code and waits (sleep, locks, sockets) are interrupted; native code is not before it returns. Threads beside
     the main one, Windows, and a process whose alarm somebody else has set are left without a limit.
     """
-    seconds = _most_seconds()
+    said = os.environ.get("CLOAK_DETECTOR_SECONDS", str(MOST_SECONDS))
+    try:
+        seconds = float(said)
+    except ValueError:
+        seconds = -1.0
+    if not 0 <= seconds < threading.TIMEOUT_MAX:
+        raise InputError(f"CLOAK_DETECTOR_SECONDS: {said!r} is no number of seconds")
     is_ours = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
     if not seconds or not is_ours or any(signal.getitimer(signal.ITIMER_REAL)):
         yield
@@ -67,17 +73,6 @@ def limited() -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
-
-
-def _most_seconds() -> float:
-    said = os.environ.get("CLOAK_DETECTOR_SECONDS")
-    try:
-        seconds = MOST_SECONDS if said is None else float(said)
-    except ValueError:
-        seconds = -1.0
-    if not 0 <= seconds < threading.TIMEOUT_MAX:
-        raise InputError(f"CLOAK_DETECTOR_SECONDS: {said!r} is no number of seconds")
-    return seconds
 
 
 @contextlib.contextmanager
@@ -109,7 +104,8 @@ def set_back(signals: bool = False) -> Iterator[None]:
     before = [read() for read, _ in kept]
     seeds = torch.get_rng_state(), np.random.get_state(), random.getstate()
     try:
-        yield
+        with contextlib.redirect_stdout(sys.stdout), contextlib.redirect_stderr(sys.stderr), np.errstate():
+            yield
     finally:
         for (read, write), value in zip(kept, before, strict=True):
             if read() != value:
@@ -159,10 +155,6 @@ def _set_path(path: list[str]) -> None:
     sys.path[:] = path + [place for place in sys.path if place not in path]
 
 
-def _set_output(streams: tuple) -> None:
-    sys.stdout, sys.stderr = streams
-
-
 def _set_raising(rules: list[tuple]) -> None:
     warnings.filters[:] = [rule for rule in warnings.filters if rule[0] != "error" or rule in rules]
 
@@ -178,9 +170,7 @@ _KEPT: tuple[tuple[Callable[[], object], Callable[..., object]], ...] = (
     (lambda: torch.is_autocast_enabled("cpu"), lambda on: torch.set_autocast_enabled("cpu", on)),
     (_working_folder, _set_folder),
     (lambda: [*sys.path], _set_path),
-    (lambda: (sys.stdout, sys.stderr), _set_output),
     (lambda: [rule for rule in warnings.filters if rule[0] == "error"], _set_raising),
-    (np.geterr, lambda settings: np.seterr(**settings)),
 )
 """What is set back: how it is read, and written. Inference mode comes first, for it changes the gradients' mode."""
 _SIGNALS = tuple(
@@ -241,7 +231,12 @@ def data_beside(file: Path) -> dict[str, str]:
 
 def _named(file: Path, sources: set[Path]) -> Iterator[Path]:
     """Find files below the folder that strings in the sources name, in it or in folders that they name."""
-    texts = {text for source in sources for text in _texts(source)}
+    texts = set()
+    for source in sources:
+        with contextlib.suppress(SyntaxError, ValueError):  # whoever runs it will say so
+            nodes = ast.walk(ast.parse(read_bytes(source, MAX_TEXT_BYTES)))
+            texts |= {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    texts = {text for text in texts if len(text) < 256 and text.isprintable() and text.strip("./")}
     folders = [file.parent]
     for folder in folders:  # grows by the folders that are named, up to a depth
         if len(folder.relative_to(file.parent).parts) < 3:
@@ -254,21 +249,10 @@ def _named(file: Path, sources: set[Path]) -> Iterator[Path]:
                 yield path
 
 
-def _texts(source: Path) -> Iterator[str]:
-    """Yield the strings in a Python file that could be a path."""
-    try:
-        tree = ast.parse(read_bytes(source, MAX_TEXT_BYTES))
-    except (SyntaxError, ValueError):  # whoever runs it will say so
-        return
-    texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
-    yield from (text for text in texts if len(text) < 256 and text.isprintable() and text.strip("./"))
-
-
+@functools.cache
 def _listen() -> None:
-    """Have Python report every file that is opened; it cannot be asked to stop."""
-    if not getattr(_listen, "done", False):
-        _listen.done = True
-        sys.addaudithook(_hear)
+    """Have Python report every file that is opened, from now on: it cannot be asked to stop."""
+    sys.addaudithook(_hear)
 
 
 def _hear(event: str, arguments: tuple) -> None:

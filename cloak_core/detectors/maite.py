@@ -47,7 +47,11 @@ class MaiteModel(nn.Module):
         super().__init__()
         self.model = model
         self.differentiable = bool(getattr(model, "differentiable", False))
-        self.label = _person_label(model.metadata)
+        who, names = f"MAITE model {model.metadata['id']}", model.metadata.get("index2label")
+        if not isinstance(names, Mapping) or not names:
+            raise InputError(f"{who}: its metadata have no index2label, which would name the person")
+        ordered = tuple(str(names.get(k, "")) for k in range(max(map(int, names)) + 1))
+        self.label = person_index(ordered, PERSON, len(ordered), who)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Tensor, Tensor]:
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
@@ -97,22 +101,11 @@ class SuccessMetric:
         return {"success": success, "persons": float(self._persons), "images": float(self._images)}
 
 
-def _person_label(metadata: Mapping) -> int:
-    names = metadata.get("index2label")
-    if not isinstance(names, Mapping) or not names:
-        raise InputError(f"MAITE model {metadata['id']}: its metadata have no index2label, which would name the person")
-    ordered = tuple(str(names.get(k, "")) for k in range(max(map(int, names)) + 1))
-    return person_index(ordered, PERSON, len(ordered), f"MAITE model {metadata['id']}")
-
-
 def _persons(target: Target, label: int, like: Tensor) -> tuple[Float[Tensor, "n 4"], Float[Tensor, " n"]]:
     """Select a target's boxes and scores of one class; scores [n, classes] are that class's column, of every box."""
-    boxes, labels, scores = (_tensor(part, like) for part in (target.boxes, target.labels, target.scores))
+    parts = (target.boxes, target.labels, target.scores)
+    boxes, labels, scores = (torch.as_tensor(part).to(like.device, torch.float32) for part in parts)
     if scores.dim() == 2:
         return boxes.reshape(-1, 4), scores[:, label]
     chosen = labels.reshape(-1) == label
     return boxes.reshape(-1, 4)[chosen], scores.reshape(-1)[chosen]
-
-
-def _tensor(values: object, like: Tensor) -> Tensor:
-    return torch.as_tensor(values).to(like.device, torch.float32)

@@ -70,16 +70,12 @@ def _both_halves(file: Path, spec: str) -> list[str]:
     beside = file.with_suffix(other)
     if not beside.is_file():
         there = sorted(file.parent.glob(f"*{other}")) if file.parent.is_dir() else []
-        there = [path for path in there if _is_ended(file.stem, path.stem)] or there
+        own = file.stem
+        there = [p for p in there if p.stem.startswith(f"{own}_") or own.startswith(f"{p.stem}_")] or there
         if len(there) != 1:
             raise InputError(f"detector {spec!r}: no {beside.name} beside it; darknet:CFG:WEIGHTS names both")
         beside = there[0]
     return [str(file), str(beside)] if other == ".weights" else [str(beside), str(file)]
-
-
-def _is_ended(one: str, other: str) -> bool:
-    shorter, longer = sorted((one, other), key=len)
-    return longer.startswith(f"{shorter}_")
 
 
 def _unknown(spec: str, file: str, family: str, suffix: str) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import inspect
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +47,7 @@ def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
         made.name = made.spec = str(given.metadata["id"])
     elif isinstance(given, nn.Module):
         module = _copied(given)
-        made = _torchvision(module) if _is_torchvision(module) else _module(module, type(given), device)
+        made = _torchvision(module) or _module(module, type(given), device)
         given = module
     elif callable(given) and not isinstance(given, type):
         made = _module(OnPictures(given), given, device)
@@ -111,29 +110,22 @@ def _module(module: nn.Module, named: object, device: str | torch.device) -> Pyt
     return detector.to(device).freeze()
 
 
-def _tensors(module: nn.Module) -> Iterator[Tensor]:
-    return itertools.chain(module.parameters(), module.buffers())
-
-
 def _is_foreign(module: nn.Module) -> bool:
     """Tell whether images in float32 and their gradients do not go through a module: it was made in inference mode, or
     where float64 is the default."""
     of_numbers = any(parameter.dtype == torch.float64 for parameter in module.parameters())
-    return of_numbers or any(tensor.is_inference() for tensor in _tensors(module))
+    return of_numbers or any(t.is_inference() for t in (*module.parameters(), *module.buffers()))
 
 
-def _torchvision(model: nn.Module) -> Detector:
-    from cloak_core.detectors.torchvision_family.loading import wrapped
-
-    name = type(model).__name__
-    return wrapped(model, PERSON, name, name, names=None, channels_last=False)
-
-
-def _is_torchvision(module: nn.Module) -> bool:
+def _torchvision(model: nn.Module) -> Detector | None:
+    """Make a detector of one of torchvision's detection models; None for any other module."""
     from torchvision.models import detection
 
+    from cloak_core.detectors.torchvision_family.loading import wrapped
+
     kinds = detection.generalized_rcnn.GeneralizedRCNN, detection.RetinaNet, detection.FCOS, detection.ssd.SSD
-    return isinstance(module, kinds)
+    name = type(model).__name__
+    return wrapped(model, PERSON, name, name, None, channels_last=False) if isinstance(model, kinds) else None
 
 
 def _copied(module: nn.Module) -> nn.Module:
@@ -145,7 +137,7 @@ def _copied(module: nn.Module) -> nn.Module:
         raise InputError(
             f"detectors: {name} cannot be copied ({first_line(error)}): wrap it in one that can"
         ) from error
-    for tensor in _tensors(made) if _is_foreign(made) else ():
+    for tensor in (*made.parameters(), *made.buffers()) if _is_foreign(made) else ():
         if tensor.dtype == torch.float64:
             tensor.data = tensor.data.float()
     return made

@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch import Tensor, fx, nn
 
-from cloak_core.detectors.onnx_family.channels import interleave, order_channels
-from cloak_core.detectors.onnx_family.simplify import activate_in_place, cut, reshape
+from cloak_core.detectors.onnx_family.plainer import activate_in_place, cut, interleave, order_channels, reshape
 
 IMAGES = torch.rand(3, 8, 5, 6, generator=torch.Generator().manual_seed(0))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.detectors import runtimes
 from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.onnx_family.decoders import (
@@ -21,8 +22,7 @@ from cloak_core.detectors.onnx_family.decoders import (
 )
 from cloak_core.detectors.onnx_family.layouts import OPEN_MODEL_ZOO, SYMMETRIC, guess_layout
 from cloak_core.detectors.pixels import PixelFormat
-from cloak_core.detectors.runtimes import tflite_file
-from cloak_core.detectors.runtimes.openvino_file import without_telemetry
+from cloak_core.detectors.runtimes import without_telemetry
 from cloak_core.detectors.verification import verify
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
@@ -206,26 +206,26 @@ def test_files_that_openvino_does_not_run(tmp_path: Path) -> None:
 )
 def test_what_integers_of_an_input_stand_for(dtype, quantization, pixels) -> None:
     given = {"dtype": dtype, "quantization": quantization}
-    assert tflite_file._pixels(given) == pixels
+    assert runtimes._pixels(given) == pixels
     if pixels is not None:
         picture = torch.linspace(0, 1, 256).view(1, 1, 256).expand(1, 3, 1, 256)
-        integers = tflite_file._quantised(pixels.apply(picture).numpy(), given).astype(int)
+        integers = runtimes._quantised(pixels.apply(picture).numpy(), given).astype(int)
         bounds = np.iinfo(dtype)
         assert np.abs(integers[0, 0, 0] - np.arange(bounds.min, bounds.max + 1)).max() <= 1
 
 
 def test_integers_of_an_output_become_real() -> None:
-    values = tflite_file._real(np.array([0, 128, 255], np.uint8), {"quantization": (0.5, 128)})
+    values = runtimes._real(np.array([0, 128, 255], np.uint8), {"quantization": (0.5, 128)})
     assert values.tolist() == [-64, 0, 63.5] and values.dtype == np.float32
-    assert tflite_file._real(np.array([3], np.int32), {"quantization": (0.0, 0)}).tolist() == [3]
+    assert runtimes._real(np.array([3], np.int32), {"quantization": (0.0, 0)}).tolist() == [3]
 
 
 def test_class_names_packed_behind_the_network() -> None:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
         archive.writestr("labelmap.txt", "person\nbicycle\n\n")
-    assert tflite_file._labels(b"TFL3 weights" + packed.getvalue()) == ("person", "bicycle")
-    assert tflite_file._labels(b"TFL3 weights") is None
+    assert runtimes._labels(b"TFL3 weights" + packed.getvalue()) == ("person", "bicycle")
+    assert runtimes._labels(b"TFL3 weights") is None
 
 
 def test_files_that_are_no_tflite(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index, read_names
 from cloak_core.detectors.decoding import Decoded
-from cloak_core.detectors.onnx_family.channels import order_channels
 from cloak_core.detectors.onnx_family.decoders import Decode
 from cloak_core.detectors.onnx_family.end_to_end import before_choice
 from cloak_core.detectors.onnx_family.layouts import (
@@ -37,6 +36,7 @@ from cloak_core.detectors.onnx_family.networks import (
     to_torch,
 )
 from cloak_core.detectors.onnx_family.parity import Verdict, compare, remembered, takes_batches
+from cloak_core.detectors.onnx_family.plainer import order_channels
 from cloak_core.detectors.onnx_family.weights import NotTrainable, TrainableWeights
 from cloak_core.detectors.pixels import YOLO_GREY, PixelFormat, fit
 from cloak_core.detectors.specs import Request

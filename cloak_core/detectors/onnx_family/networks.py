@@ -15,7 +15,7 @@ from torch import Tensor, fx, nn
 
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.onnx_family.model_file import ModelFile
-from cloak_core.detectors.onnx_family.simplify import activate_in_place, simplify
+from cloak_core.detectors.onnx_family.plainer import activate_in_place, simplify
 from cloak_core.detectors.onnx_family.weights import COPIES, constant_of, reads
 from cloak_core.files.errors import InputError, first_line
 

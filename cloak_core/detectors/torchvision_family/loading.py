@@ -12,8 +12,7 @@ from cloak_core.detectors.checkpoints import load_state, read_state_dict
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.specs import Request
-from cloak_core.detectors.torchvision_family.dense import DenseDetector
-from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector
+from cloak_core.detectors.torchvision_family.detectors import DenseDetector, TwoStageDetector
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import replace_file
 

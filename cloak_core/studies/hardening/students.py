@@ -24,7 +24,7 @@ from cloak_core.detectors.onnx_family.weights import NotTrainable
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.detectors.specs import parse_spec
-from cloak_core.detectors.torchvision_family.dense import DenseDetector
+from cloak_core.detectors.torchvision_family.detectors import DenseDetector
 from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
 from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, distances, rows

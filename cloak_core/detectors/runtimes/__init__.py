@@ -1,1 +1,0 @@
-"""Files that other runtimes run, as black boxes: `openvino:FILE.xml` and `tflite:FILE.tflite`."""
