@@ -27,8 +27,8 @@ WITH_CLASSES = (
     *("trainer.panel", "body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel"),
 )
 """Modules whose classes are registered, in the order of the panels."""
-ROOMS = (properties, run_list, drawing)  # modules that register something before the classes
-WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, cloths, translations)
+ROOMS = (properties, run_list)  # modules that register something before the classes
+WATCHERS = (drawing.HOOKS, overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, cloths, translations)
 """Objects that register something after the classes."""
 _commands: list[object] = []  # of the command line: `blender --command cloak`
 CLASSES = (

@@ -5,7 +5,6 @@ An export numbers the faces of all objects through, the body's first. Its record
 trained colours find their garments again.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -15,9 +14,7 @@ from mathutils.bvhtree import BVHTree
 from ..blender import colors
 from ..blender.evaluated import read_surface
 from ..blender.faces import logo_mask
-from ..blender.marks import COLORS
 from ..blender.mesh_arrays import box_of, face_count, read, require_object_mode, to_world, topology
-from ..blender.pictures import Cloth
 from ..files.errors import InputError
 from ..session import session
 from ..ui.window import show_progress
@@ -150,29 +147,6 @@ def undress(obj: bpy.types.Object) -> None:
     for worn in (obj, *worn_by(obj)):
         colors.undress(worn)
         colors.show_own(worn)
-
-
-def write_worn(
-    pieces: list[bpy.types.Object],
-    garments: list[Garment],
-    ids: np.ndarray,
-    values: np.ndarray,
-    cloth_on: Callable[[bpy.types.Object, int], Cloth | None] | None,
-) -> None:
-    """Write the garments' part of the colours [L, 3] of faces [L] onto the pieces that wear them.
-
-    cloth_on: the cloth that is worn, on an object whose faces the export numbers from the second argument on; where
-    given, also assign the cloak's material.
-    """
-    for obj, garment in zip(pieces, garments, strict=True):
-        mine = (ids >= garment.first) & (ids < garment.first + garment.faces)
-        local = ids[mine] - garment.first
-        worn = colors.own_face_colors(obj)
-        worn[local] = values[mine]
-        colors.write_face_colors(obj, COLORS, worn)
-        if cloth_on is not None:
-            colors.dress(obj, local, cloth_on(obj, garment.first))
-            colors.activate(obj, COLORS)
 
 
 def faces_over(context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.types.Object, logo: str) -> np.ndarray:

@@ -157,7 +157,7 @@ class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", trains=True):
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
         folder = first_free(user_folder("heatmap"), "heat")
-        write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings)))
+        write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings))[0])
         words = heatmap_words(train_options(settings), folder)
         uid, expected = obj.session_uid, topology(obj)
 

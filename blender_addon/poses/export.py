@@ -35,15 +35,15 @@ RECORD = "export.json"
 
 @dataclass(frozen=True)
 class Part:
-    """One evaluated object in one pose, in scene axes and metres."""
+    """One evaluated object: what is the same in all its poses."""
 
-    vertices: np.ndarray
+    vertex_count: int
     loop_total: np.ndarray
     loop_vertices: np.ndarray
     own_face: np.ndarray | None
     """[P] the face of the mesh that each evaluated polygon counts as; None where each is one of its own."""
-    triangles: np.ndarray | None = None
-    triangle_face: np.ndarray | None = None
+    triangles: np.ndarray
+    triangle_face: np.ndarray
 
     @property
     def face_count(self) -> int:
@@ -71,15 +71,13 @@ def export_summary(context: bpy.types.Context) -> str:
     return text + (f"; the logo goes on over {', '.join(too)}" if too else "")
 
 
-def export_bodies(context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str = "") -> Bodies:
-    """Export the body and its clothing in every chosen pose; the logo may extend over the clothing."""
-    return _bodies_and_garments(context, obj, choice, logo)[0]
-
-
-def _bodies_and_garments(
-    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str
+def export_bodies(
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str = ""
 ) -> tuple[Bodies, list[Garment]]:
-    """Bodies, and the clothing that wears the logo too, face by face as the body. Leaves the scene as it was."""
+    """Body and clothing in every chosen pose, and the clothing that wears the logo too, face by face as the body.
+
+    Leaves the scene as it was.
+    """
     require_body(obj)
     clothing = worn_by(obj)
     objects = [obj, *clothing]
@@ -89,7 +87,8 @@ def _bodies_and_garments(
     wearing = [obj, *(o for o in clothing if logo and logo_mask(o, logo).any())]
     require_own_animation(objects, choice)
     poses = list_poses(obj, choice)
-    frames: list[list[Part]] = []
+    parts: list[Part | None] = [None] * len(objects)
+    vertices: list[np.ndarray] = []
     play_from = first_frame(context.scene, objects)
     # Detector's Eye exports one pose again and again, which the pointer need not tell.
     pointer = progress_cursor() if len(poses) > 1 else nullcontext()
@@ -101,40 +100,43 @@ def _bodies_and_garments(
                 show_progress(done / len(poses))
                 go(pose)
                 graph = context.evaluated_depsgraph_get()
-                frames.append([_evaluate(o, graph, o in wearing, with_triangles=not frames) for o in objects])
-                _require_same_topology(objects, frames)
-    body = [_filled_up(outfit, frames[0][0].face_count) for outfit in colors.own_outfits(obj)]
-    worn = [_outfits(o, part, len(body)) for o, part in zip(clothing, frames[0][1:], strict=True)]
+                found = [_evaluate(o, graph, o in wearing, part) for o, part in zip(objects, parts, strict=True)]
+                vertices.append(np.concatenate([points for points, _ in found]))
+                parts = [part for _, part in found]
+    body = [_filled_up(outfit, parts[0].face_count) for outfit in colors.own_outfits(obj)]
+    worn = [_outfits(o, part, len(body)) for o, part in zip(clothing, parts[1:], strict=True)]
     outfits = np.stack([np.concatenate(together) for together in zip(body, *worn, strict=True)])
+    names = tuple(pose.name for pose in poses)
+    looks = {"vertices": np.stack(vertices), "face_colors": outfits, "names": names, "name": obj.name}
     try:
-        bodies = _join(frames, [pose.name for pose in poses], outfits, obj.name, [topology(o) for o in wearing])
+        bodies = Bodies(**looks, **_joined(parts, [topology(o) for o in wearing]))
     except InputError as error:
         raise InputError(f"'{obj.name}': {error}") from None
-    starts = np.cumsum([0, *(part.face_count for part in frames[0])]).tolist()
-    found = ((o, start) for o, start in zip(objects, starts, strict=False) if o in wearing[1:])
-    return bodies, [Garment(o.name, start, len(o.data.polygons), topology(o)) for o, start in found]
+    starts = np.cumsum([0, *(part.face_count for part in parts)]).tolist()
+    dressed = ((o, start) for o, start in zip(objects, starts, strict=False) if o in wearing[1:])
+    return bodies, [Garment(o.name, start, len(o.data.polygons), topology(o)) for o, start in dressed]
 
 
-def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bool, with_triangles: bool) -> Part:
+def _evaluate(
+    obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bool, before: Part | None
+) -> tuple[np.ndarray, Part]:
+    """Vertices [V, 3] in scene axes and metres, and the rest, which was so before; `InputError` where it changed."""
     with evaluated_mesh(obj, graph) as (mesh, matrix):
+        world = to_world(vertex_points(mesh), matrix) * graph.scene.unit_settings.scale_length
+        points, loops = scene_axes(world).astype(np.float32), polygon_loops(mesh)
+        if before is not None:
+            same = map(np.array_equal, loops, (before.loop_total, before.loop_vertices))
+            if len(points) == before.vertex_count and all(same):
+                return points, before
+            raise InputError(f"The faces of '{obj.name}' change from pose to pose: turn off its modifiers, or hide it")
+        triangles, face = mesh_triangles(mesh)
         own = None
         if by_own_face and not keeps_faces(obj, mesh):
             own = carried_faces(obj, mesh)
             # Polygons of no own face get numbers behind the mesh's last.
             own = np.where(own < 0, len(obj.data.polygons) + np.cumsum(own < 0) - 1, own).astype(np.int32)
-        world = to_world(vertex_points(mesh), matrix) * graph.scene.unit_settings.scale_length
-        triangles, face = mesh_triangles(mesh) if with_triangles else (None, None)
-        if with_triangles and own is not None:
             face = own[face]
-        return Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh), own, triangles, face)
-
-
-def _require_same_topology(objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
-    """Raise `InputError` if an object changes its faces between poses."""
-    for obj, a, b in zip(objects, frames[-1], frames[0], strict=True):
-        loops = ((part.loop_total, part.loop_vertices) for part in (a, b))
-        if len(a.vertices) != len(b.vertices) or not all(map(np.array_equal, *loops)):
-            raise InputError(f"The faces of '{obj.name}' change from pose to pose: turn off its modifiers, or hide it")
+        return points, Part(len(points), *loops, own, triangles, face)
 
 
 def _outfits(obj: bpy.types.Object, part: Part, count: int) -> list[np.ndarray]:
@@ -153,32 +155,22 @@ def _filled_up(own: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([own, extra]).astype(np.float32)[:count]
 
 
-def _join(frames: list[list[Part]], names: list[str], outfits: np.ndarray, name: str, topologies: list[str]) -> Bodies:
-    first = frames[0]
+def _joined(parts: list[Part], topologies: list[str]) -> dict[str, object]:
+    """The mesh of several objects, one behind the other, as `Bodies` take it; the topologies of those with the logo."""
+    vertices = np.cumsum([0, *(part.vertex_count for part in parts)])
+    faces = np.cumsum([0, *(part.face_count for part in parts)])
 
-    def shifted(key: str, counts: list[int]) -> np.ndarray:
+    def shifted(key: str, counts: np.ndarray) -> np.ndarray:
         """Indices of all parts, behind what was counted in the parts before."""
-        before = np.cumsum([0, *counts])
-        return np.concatenate([getattr(part, key) + count for part, count in zip(first, before, strict=False)])
+        return np.concatenate([getattr(part, key) + n for part, n in zip(parts, counts, strict=False)])
 
-    vertex_counts, face_counts = [len(p.vertices) for p in first], [p.face_count for p in first]
-    if any(part.own_face is not None for part in first):
-        # Polygons are the meshes' own and their corners the evaluated ones: no loops, but the meshes' topologies.
-        parts = {"meshes": topologies, "worn": sha256_arrays(*(p.loop_vertices for p in first[1:]))}
-        one = len(first) == 1
-        mesh = {"recorded_topology": topologies[0] if one else sha256_record(parts)}
-    else:
-        loops = shifted("loop_vertices", vertex_counts)
-        mesh = {"loop_total": np.concatenate([p.loop_total for p in first]), "loop_vertices": loops}
-    return Bodies(
-        vertices=np.stack([np.concatenate([p.vertices for p in parts]) for parts in frames]),
-        triangles=shifted("triangles", vertex_counts),
-        triangle_face=shifted("triangle_face", face_counts),
-        face_colors=outfits,
-        names=tuple(names),
-        name=name,
-        **mesh,
-    )
+    mesh = {"triangles": shifted("triangles", vertices), "triangle_face": shifted("triangle_face", faces)}
+    if all(part.own_face is None for part in parts):
+        loops = np.concatenate([part.loop_total for part in parts])
+        return {**mesh, "loop_total": loops, "loop_vertices": shifted("loop_vertices", vertices)}
+    # Polygons are the meshes' own and their corners the evaluated ones: no loops, but the meshes' topologies.
+    record = {"meshes": topologies, "worn": sha256_arrays(*(part.loop_vertices for part in parts[1:]))}
+    return {**mesh, "recorded_topology": topologies[0] if len(parts) == 1 else sha256_record(record)}
 
 
 @dataclass(frozen=True)
@@ -211,7 +203,7 @@ def export(context: bpy.types.Context, obj: bpy.types.Object, logo: str, choice:
     mask = logo_mask(obj, logo) if worn_elsewhere else require_logo(obj, logo)
     if folder.exists():
         raise InputError(f"{folder}: exists already; choose another output folder")
-    bodies, garments = _bodies_and_garments(context, obj, choice, logo)
+    bodies, garments = export_bodies(context, obj, choice, logo)
     worn = [np.flatnonzero(logo_mask(bpy.data.objects[g.object], logo)) + g.first for g in garments]
     ids = np.concatenate([np.flatnonzero(mask), *worn])
     ids = np.intersect1d(ids, bodies.triangle_face)  # faces that a modifier takes away are not seen

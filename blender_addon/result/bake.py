@@ -85,13 +85,16 @@ def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.
 
 
 def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) -> np.ndarray:
-    """[S, S, 4]: the colours on a UV map of the user's."""
+    """[S, S, 4]: the colours on a UV map of the user's; beyond the islands they go on by `MARGIN` texels."""
     loops, owner = triangle_corners(mesh)
     face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size)
-    pixels = np.zeros((size, size, 4), np.float32)
-    filled = face >= 0
-    pixels[filled] = np.append(wanted, np.ones((len(wanted), 1), np.float32), axis=1)[face[filled]]
-    return _spread(pixels, filled)
+    for _ in range(MARGIN):
+        before = face.copy()
+        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            face = np.where(face < 0, np.roll(before, step, axis), face)
+    pixels = np.append(wanted, np.ones((len(wanted), 1), np.float32), axis=1)[face]
+    pixels[face < 0] = 0
+    return pixels
 
 
 def _sew(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray) -> None:
@@ -152,19 +155,6 @@ def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> np.nd
     points = np.concatenate([places.reshape(-1, 2) * size, np.zeros((3 * len(places), 1))], 1)
     _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size))
     return np.where(owner >= 0, triangle_face[owner], -1)
-
-
-def _spread(pixels: np.ndarray, filled: np.ndarray) -> np.ndarray:
-    """Let the colours of filled texels [S, S] go on beyond the islands by `MARGIN` texels, in place."""
-    for _ in range(MARGIN):
-        before = filled.copy()
-        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            texels = np.nonzero(np.roll(before, step, axis) & ~filled)
-            beside = list(texels)
-            beside[axis] = (beside[axis] - step) % len(pixels)
-            pixels[texels] = pixels[tuple(beside)]
-            filled[texels] = True
-    return pixels
 
 
 def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:

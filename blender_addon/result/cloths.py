@@ -12,7 +12,6 @@ import numpy as np
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..blender.blend_paths import blend_folder, portable
 from ..blender.faces import active_logo
 from ..blender.marks import READY_CLOTH, layer_name
 from ..blender.mesh_arrays import mean_of_corners, mode_reason
@@ -58,8 +57,7 @@ class CLOAK_OT_cloth_picture(CloakOperator, ImportHelper, label="Picture as Clot
         pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
         done = export(context, obj, logo, PoseChoice(), runs.input_folder(run))
         write_run(run, done, pixels, self.width, obj.cloak.made_from)
-        obj.cloak.run = portable(str(run), blend_folder())
-        return f"'{obj.name}' wears {run.name}: {runs.import_colors(context, obj, run):,} faces"
+        return runs.wear_run(context, obj, run)
 
 
 def write_run(run: Path, done: Export, pixels: np.ndarray, metres: float, made_from: str) -> None:

@@ -11,7 +11,7 @@ import bpy
 from bpy.props import EnumProperty
 
 from ..blender import colors
-from ..blender.blend_paths import absolute, blend_folder, first_free, portable
+from ..blender.blend_paths import absolute, first_free
 from ..blender.mesh_arrays import mode_reason, topology
 from ..body.garments import is_dressed, undress
 from ..body.objects import active_body, body_reason, object_of, of_the_body, refusal
@@ -34,9 +34,9 @@ from ..translations import said
 from ..ui import props
 from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
 from ..ui.window import main_region, redraw
-from . import eye, render_check, wear
+from . import eye, render_check
 from .evaluations import kept_back, read_evaluation
-from .reasons import export_worn, judged_reason, result_reason
+from .reasons import ANSWER, WEAR, export_worn, foreign_reason, judged_reason, people_file, result_reason
 
 
 def wear_reason(context: bpy.types.Context) -> str:
@@ -87,8 +87,7 @@ run is copied to the output folder"""
         with written(place):
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.copytree(source, place)
-        obj.cloak.run = portable(str(place), blend_folder())
-        return f"'{obj.name}' wears {place.name}: {runs.import_colors(context, obj, place):,} faces"
+        return runs.wear_run(context, obj, place)
 
 
 class CLOAK_OT_result_toggle(BodyOperator, label="Toggle Cloak", needs=wear_reason):
@@ -264,12 +263,12 @@ class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
         settings = context.scene.cloak
-        reason = result_reason(context) or refusal(wear.people_file, settings.judging.people)
-        return reason or refusal(judges, settings) or wear.foreign_reason(active_body(context))
+        reason = result_reason(context) or refusal(people_file, settings.judging.people)
+        return reason or refusal(judges, settings) or foreign_reason(active_body(context))
 
     def run(self, context: bpy.types.Context) -> str:
         settings, run = context.scene.cloak, run_of(active_body(context))
-        people, place = wear.people_file(settings.judging.people), first_free(side_folder(run), wear.WEAR)
+        people, place = people_file(settings.judging.people), first_free(side_folder(run), WEAR)
         words = ["wear", run, *options(judges(settings), people=people, device=settings.device), "--out", place]
 
         def ended(job: Job) -> str:
@@ -279,7 +278,7 @@ class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
             except (ValueError, KeyError, TypeError):
                 raise InputError("Wear: the trainer's answer is not understood; see wear.log") from None
             place.mkdir(exist_ok=True)
-            write_json(place / wear.ANSWER, record)
+            write_json(place / ANSWER, record)
             return f"{count} people wear it"
 
         waiting = run_cloak("Wear", words, side_folder(run), "wear", ended)

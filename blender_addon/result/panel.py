@@ -20,9 +20,8 @@ from . import eye
 from .evaluations import CONTROLS, THRESHOLD, Judged
 from .operators import ready_cloaks
 from .outputs import made
-from .reasons import result_reason
+from .reasons import last_worn, result_reason
 from .render_check import Verdict
-from .wear import last_worn
 
 COARSE = "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"
 RENDERS = ("With the cloak", "Without")

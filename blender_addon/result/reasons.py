@@ -1,24 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Why the colours of a run cannot be shown or judged, and exports of a body that wears them."""
+"""Why the colours of a run cannot be shown or judged; exports of a body that wears them, and people that did."""
 
 import re
 import shutil
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
 
+from ..blender.blend_paths import absolute
 from ..body.garments import is_dressed, worn_by
 from ..body.objects import of_the_body, refusal
 from ..exchange.bodies import Bodies
 from ..exchange.face_lists import read_face_list
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
+from ..files.reading import read_json
 from ..poses.export import export_bodies
 from ..poses.poses import PoseChoice
 from ..training.run_list import read_state
-from ..training.runs import export_of, exported_scene, first_pose, is_cloth, run_of
+from ..training.runs import export_of, exported_scene, first_pose, is_cloth, run_of, side_folder
+from .evaluations import UNREADABLE, Judged, kept_back, read_judged
 
 
 @of_the_body
@@ -56,7 +59,7 @@ def export_worn(
     """
     expected = read_face_list(run / "logo.npy").topology if run else None
     require_same_clothes(obj, run)
-    bodies = export_bodies(context, obj, choice, read_state(run).logo if run else "")
+    bodies, _ = export_bodies(context, obj, choice, read_state(run).logo if run else "")
     if expected not in (None, bodies.topology):
         raise InputError(
             f"'{obj.name}' changed since {run.name} was trained: its faces, or those of its clothing, are others; undo "
@@ -85,3 +88,55 @@ def require_same_clothes(obj: bpy.types.Object, run: Path | None) -> None:
 
 def _unnumbered(name: str) -> str:
     return re.sub(r"\.\d{3,}$", "", name)
+
+
+# --- people in photographs -------------------------------------------------------------------------------------------
+
+WEAR, ANSWER = "worn by people", "answer.json"
+PICTURES = (".png", ".jpg", ".jpeg")
+
+
+def people_file(path: str) -> Path:
+    """The COCO file of people that a folder holds, or that was named. Raises `InputError`."""
+    if not path:
+        raise InputError("People is empty: choose a people.json, or the folder of photographs that it lies in")
+    chosen = Path(absolute(path))
+    found = [chosen] if chosen.is_file() else sorted(chosen.glob("*.json"), key=lambda p: (p.name != "people.json", p))
+    if not found:
+        raise InputError(f"{chosen}: no people.json in it (people as COCO has them, with masks and landmarks)")
+    return found[0]
+
+
+@dataclass(frozen=True)
+class Worn:
+    """What came out of wearing a run."""
+
+    folder: Path
+    people: int
+    left_out: int
+    detectors: tuple[Judged, ...]
+    pictures: tuple[Path, ...]
+
+
+def last_worn(run: Path) -> Worn | None:
+    """That of the latest wearing of a run; None where there is none."""
+    places = sorted(side_folder(run).glob(f"{WEAR}*/{ANSWER}"), key=lambda path: path.stat().st_mtime)
+    try:
+        record, folder = read_json(places[-1]), places[-1].parent
+        left = sum(int(count) for count in (record.get("left_out") or {}).values())
+        found = [path for path in folder.rglob("pictures/*/*") if path.suffix.lower() in PICTURES]
+        pictures = sorted(found, key=lambda path: (path.parent, not path.stem.startswith("before"), path.name))
+        return Worn(folder, int(record["people"]), left, read_judged(record), tuple(pictures))
+    except UNREADABLE:
+        return None
+
+
+def foreign_reason(obj: bpy.types.Object) -> str:
+    """Why people in photographs cannot wear a body's run: they are fitted with the faces of Cloak's own people."""
+    run = run_of(obj)
+    if obj.cloak.made_from or kept_back(run) or (run / "zoo.json").is_file() or (run / "cloth.png").is_file():
+        return ""
+    return (
+        f"People in photographs wear what was trained on Cloak's own people, and '{obj.name}' is none of them: train "
+        "on the sample body, or carry the colours over (cloak logo transfer)"
+    )

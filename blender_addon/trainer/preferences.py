@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Preferences: the program that trains; and the add-on's own folders."""
 
+import functools
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,9 +14,7 @@ from ..ui import props
 from .program import find_program, install_line
 
 PACKAGE = __package__.rpartition(".")[0]  # the add-on's name in Blender
-LOOK_SECONDS = 5.0  # between two looks of the panel for a program that is not there
-_looked: tuple[str, float, str] = ("", 0.0, "")
-"""Of the panel's last look: what was chosen, when it was, and why no trainer was found."""
+LOOK_SECONDS = 5.0  # between two looks of the panel for the program
 
 
 def preferences() -> "CloakPreferences | SimpleNamespace":
@@ -38,15 +37,16 @@ def trainer() -> str:
 
 def trainer_reason() -> str:
     """Why there is no trainer to start, "" when there is one; for redraws, which look every few seconds."""
-    global _looked
-    chosen, now = preferences().program, time.monotonic()
-    if _looked[0] != chosen or not _looked[1] or (_looked[2] and now - _looked[1] > LOOK_SECONDS):
-        try:
-            find_program(chosen, preferences().wheel)
-            _looked = chosen, now, ""
-        except InputError as error:
-            _looked = chosen, now, str(error)
-    return _looked[2]
+    return _reason(preferences().program, preferences().wheel, time.monotonic() // LOOK_SECONDS)
+
+
+@functools.lru_cache(1)
+def _reason(program: str, wheel: str, moment: float) -> str:
+    try:
+        find_program(program, wheel)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 class CloakPreferences(bpy.types.AddonPreferences):

@@ -16,6 +16,7 @@ from ..files.errors import InputError
 from ..trainer.command_lines import allow, cloak_command
 from ..trainer.jobs import Job, launch, waits
 from ..trainer.preferences import trainer, user_folder
+from ..trainer.progress import finite
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator, push_undo
 
@@ -243,35 +244,35 @@ def check(detector: CloakDetector) -> str:
 def _told(job: Job, spec: str) -> str | None:
     """Write the answer to every entry that it is about."""
     try:
-        record = dict(json.loads(job.outputs[-1])) if job.outputs else {}
-    except (ValueError, TypeError):
+        record = dict(json.loads(job.outputs[-1]))
+    except (ValueError, TypeError, IndexError):
         record = {}
-    failed = [str(name) for name in record.get("failed", [])]
-    works = job.state == "done" and not failed
-    point = record.get("operating_point")
-    answer = _answer(record, point) if works else f"fails: {', '.join(failed)}" if failed else job.message
-    if works or failed:
-        job.state = "done"
-    job.is_bad_news = not works
     found = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
-    if job.state == "stopped":  # nothing is known: it can be checked again
+    failed, point = [str(name) for name in record.get("failed", [])], finite(record.get("operating_point"))
+    works = job.state == "done" and not failed
+    job.is_bad_news = not works
+    if job.state == "stopped" and not failed:  # nothing is known: it can be checked again
         for detector in found:
             detector.checked = ""
         return None
+    if failed:
+        job.state = "done"
+    answer = f"fails: {', '.join(failed)}" if failed else _describe(record, point) if works else job.message
     for detector in found:
         detector.answer, detector.works = answer, works
         detector.gradients = not works or record.get("white_box") is not False
-        if works and isinstance(point, (int, float)) and not detector.threshold:
-            detector.threshold = float(point)
+        if works and point and not detector.threshold:
+            detector.threshold = point
     push_undo("Check Detector")
     return f"{found[0].title} {answer}" if found else None
 
 
-def _answer(record: dict, point: object) -> str:
+def _describe(record: dict, point: float | None) -> str:
+    """What the trainer found out about a detector that works."""
     assumed = " (assumed)" if record.get("operating_point_assumed") is True else ""
-    parts = [f"reports from {point:g}{assumed}"] if isinstance(point, (int, float)) else []
+    parts = [] if point is None else [f"reports from {point:g}{assumed}"]
     if record.get("person_class") not in (None, 0):
         parts.append(f"person is class {record['person_class']}")
-    if isinstance(record.get("parity_scores"), (int, float)):
-        parts.append(f"scores within {record['parity_scores']:.0e} of its own runtime")
+    if (parity := finite(record.get("parity_scores"))) is not None:
+        parts.append(f"scores within {parity:.0e} of its own runtime")
     return "works" + (f": {', '.join(parts)}" if parts else "")

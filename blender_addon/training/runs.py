@@ -21,7 +21,7 @@ from ..blender.blend_paths import absolute, blend_folder, first_free, portable
 from ..blender.marks import COLORS, OWN_MATERIAL, layer_name
 from ..blender.mesh_arrays import mesh_triangles, polygon_loops, require_object_mode, topology, vertex_points
 from ..blender.pictures import Cloth, load_cloth
-from ..body.garments import pieces_of, write_worn
+from ..body.garments import pieces_of
 from ..body.objects import object_of, refusal, require_body, scene_axes
 from ..exchange.bodies import Bodies
 from ..exchange.cloth import CLOTH_FILE, cloth_metres, corner_uv
@@ -162,6 +162,12 @@ def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) 
     return count
 
 
+def wear_run(context: bpy.types.Context, obj: bpy.types.Object, run: Path) -> str:
+    """Give an object a run and its colours; returns what to say."""
+    obj.cloak.run = portable(str(run), blend_folder())
+    return f"'{obj.name}' wears {run.name}: {import_colors(context, obj, run):,} faces"
+
+
 class LiveColors:
     """Shows a run's colours on its body, also while they grow. What can be prepared is, so that writing is quick.
 
@@ -169,7 +175,7 @@ class LiveColors:
     """
 
     def __init__(self, obj: bpy.types.Object, run: Path) -> None:
-        self._all, self._topology = trained_faces(run)
+        self._ids, self._topology = trained_faces(run)
         done = export_of(run)
         self._run, self._name, self._garments = run, obj.name, done.garments if done else []
         self._given, self._refused, self._last, self._looked = False, "", time.monotonic(), -1
@@ -178,12 +184,10 @@ class LiveColors:
     def _use(self, obj: bpy.types.Object) -> None:
         """Prepare to write onto this body. Raises `InputError` where it has other faces."""
         require_same_topology(obj, self._topology)
-        self._uid, self._seen = obj.session_uid, 0
-        self._mine = (self._all < len(obj.data.polygons)) | (not self._garments)
-        self._ids = self._all[self._mine]
-        if len(self._ids) and self._ids[-1] >= len(obj.data.polygons):
+        if not self._garments and len(self._ids) and self._ids[-1] >= len(obj.data.polygons):
             raise InputError(f"{self._run}: face {self._ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
-        self._base = colors.own_face_colors(obj)
+        self._uid, self._seen = obj.session_uid, 0
+        self._own = {obj.session_uid: colors.own_face_colors(obj)}  # of body and garments, without the cloak
 
     def give(self, obj: bpy.types.Object) -> None:
         """Make the run the body's."""
@@ -256,32 +260,35 @@ class LiveColors:
         naked = not (self._seen and marked and any(map(colors.is_cloak, obj.data.materials)))
         if stamp == self._seen and not naked:
             return False
-        self.write(context, obj, read_colors(path, count=len(self._mine)), dress=naked)
+        self.write(context, obj, read_colors(path, count=len(self._ids)), dress=naked)
         self._seen = stamp
         return True
 
     def write(self, context: bpy.types.Context, obj: bpy.types.Object, values: np.ndarray, dress: bool) -> None:
         """Colours [L, 3] onto the object and its garments; with `dress` their faces get the cloak's material."""
         require_same_topology(obj, self._topology)
-        pieces = pieces_of(obj, self._garments)  # all are there and the cloth is whole, or nothing is written
-        cloth = self._cloth(obj) if dress else None
-        write_worn(pieces, self._garments, self._all, values, self._cloth if dress else None)
-        self._base[self._ids] = values[self._mine]
-        colors.write_face_colors(obj, COLORS, self._base)
+        # All are there and the cloth is whole, or nothing is written.
+        pieces = [obj, *pieces_of(obj, self._garments)]
+        firsts, scene = [0, *(garment.first for garment in self._garments)], exported_scene(self._run)
+        cloths = [read_cloth(*pair, self._run, scene) if dress else None for pair in zip(pieces, firsts, strict=True)]
+        for one, first, cloth in zip(pieces, firsts, cloths, strict=True):
+            mine = (self._ids >= first) & (self._ids < first + len(one.data.polygons))
+            if one.session_uid not in self._own:
+                self._own[one.session_uid] = colors.own_face_colors(one)
+            worn = self._own[one.session_uid].copy()
+            worn[self._ids[mine] - first] = values[mine]
+            colors.write_face_colors(one, COLORS, worn)
+            if dress:
+                colors.dress(one, self._ids[mine] - first, cloth)
+                colors.activate(one, COLORS)
         if dress:
-            colors.dress(obj, self._ids, cloth)
             colors.show_attribute(obj, COLORS)
-        else:
-            for image in {colors.worn_cloth(one.data)[0] for one in (obj, *pieces)} - {None}:
-                name, new = image.name, load_cloth(self._run / CLOTH_FILE)
-                image.user_remap(new)
-                bpy.data.images.remove(image)
-                new.name = name
+        for image in {colors.worn_cloth(one.data)[0] for one in pieces if not dress} - {None}:
+            name, new = image.name, load_cloth(self._run / CLOTH_FILE)
+            image.user_remap(new)
+            bpy.data.images.remove(image)
+            new.name = name
         obj.cloak.worn = str(self._run)
-
-    def _cloth(self, obj: bpy.types.Object, first: int = 0) -> Cloth | None:
-        """The cloth that the run trains, on an object whose faces the export numbers from `first`."""
-        return read_cloth(obj, self._run, exported_scene(self._run), first)
 
 
 # --- the cloth of a run, laid onto a body as the trainer lays it: in the first pose that was exported ----------------
@@ -292,7 +299,7 @@ def is_cloth(run: Path | None) -> bool:
     return run is not None and (run / CLOTH_FILE).is_file()
 
 
-def read_cloth(obj: bpy.types.Object, run: Path, scene: Path | None, first: int = 0) -> Cloth | None:
+def read_cloth(obj: bpy.types.Object, first: int, run: Path, scene: Path | None) -> Cloth | None:
     """The cloth that a run trained, on the object's corners; None where it trained colours of faces.
 
     scene: what was exported for the run, in which the object's faces are numbered from `first`. Raises `InputError`

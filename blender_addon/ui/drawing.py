@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drawing: words and rectangles over a viewport, triangles and lines in its space, and pictures in the panels."""
 
+import functools
 from pathlib import Path
 
 import blf
@@ -12,6 +13,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from ..translations import said
+from .window import Hooks
 
 Color = tuple[float, float, float]  # sRGB in [0, 1]
 POINTS = 12
@@ -90,30 +92,27 @@ def frame(x1: float, y1: float, x2: float, y2: float, color: Color, thickness: f
     fill(x2 - thickness, y1, thickness, y2 - y1, color)
 
 
-_pictures: bpy.utils.previews.ImagePreviewCollection | None = None
-_names: dict[Path, str] = {}  # what each file is called in the collection, which holds it as it last was
+_names: dict[Path, str] = {}  # what each file is called among the previews, which hold it as it last was
+_previews = functools.cache(bpy.utils.previews.new)
 
 
 def icon_of(path: Path) -> int:
     """The icon that shows a picture; 0 where there is none."""
-    if _pictures is None or not path.is_file():
+    if not path.is_file():
         return 0
-    name = f"{path} {path.stat().st_mtime_ns}"
-    if name not in _pictures:
+    pictures, name = _previews(), f"{path} {path.stat().st_mtime_ns}"
+    if name not in pictures:
         if path in _names:
-            del _pictures[_names[path]]
-        _pictures.load(name, str(path), "IMAGE")
+            del pictures[_names[path]]
+        pictures.load(name, str(path), "IMAGE")
         _names[path] = name
-    return _pictures[name].icon_id
+    return pictures[name].icon_id
 
 
-def register() -> None:
-    global _pictures
-    _pictures = bpy.utils.previews.new()
-
-
-def unregister() -> None:
-    global _pictures
-    bpy.utils.previews.remove(_pictures)
-    _pictures = None
+def _forget() -> None:
+    bpy.utils.previews.remove(_previews())
+    _previews.cache_clear()
     _names.clear()
+
+
+HOOKS = Hooks(closing=_forget)

@@ -7,6 +7,7 @@ import os
 import pkgutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -47,7 +48,8 @@ def blender_command(script: Path, *arguments: object) -> list[str]:
     return [sys.executable, str(script), *words]
 
 
-def pytest_configure() -> None:
+def install() -> None:
+    """Let tests import the installed extension as `cloak`."""
     # The repository's own packages must not be found: what is tested is what was installed.
     sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != ROOT]
     bpy.ops.extensions.package_install_files(filepath=str(EXTENSION), repo="user_default", enable_on_install=True)
@@ -57,11 +59,18 @@ def pytest_configure() -> None:
         sys.modules[found.name.replace(MODULE, "cloak", 1)] = importlib.import_module(found.name)
 
 
+install()
+
+from cloak.blender import colors, faces  # noqa: E402
+from cloak.result import render_check  # noqa: E402
+from cloak.session import session  # noqa: E402
+from cloak.trainer import jobs  # noqa: E402
+from cloak.trainer.preferences import preferences  # noqa: E402
+
+
 @pytest.fixture(autouse=True)
 def fresh_file():
     """An empty scene before each test, no torch and no running job after it."""
-    from cloak.trainer import jobs
-
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     yield
     jobs.shut_down()
@@ -82,8 +91,6 @@ def make_launcher(folder: Path, path: list[Path], python: str = sys.executable) 
 @pytest.fixture
 def stub(tmp_path: Path) -> Path:
     """The stub trainer's Python, under a path with spaces and letters beyond ASCII; chosen in the preferences."""
-    from cloak.trainer.preferences import preferences
-
     launcher = make_launcher(tmp_path / "Bücher & Straße 素材", [STUB])
     preferences().program = str(launcher)
     yield launcher
@@ -99,42 +106,27 @@ def real_trainer(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def coarse_renders(monkeypatch: pytest.MonkeyPatch) -> None:
     """A render check has one sample a pixel, which takes a tenth of a render's time."""
-    from cloak.result import render_check
-
     monkeypatch.setattr(render_check, "Plan", partial(render_check.Plan, samples=1))
-
-
-def run_job(seconds: float = 60):
-    """Let the current job end, as Blender's timer would."""
-    import time
-
-    from cloak.session import session
-    from cloak.trainer import jobs
-
-    until = time.monotonic() + seconds
-    while jobs.tick() is not None:
-        assert time.monotonic() < until, session.job.describe()
-        time.sleep(0.02)
-    return session.job
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 60) -> None:
     """Let time pass, as Blender's timer would, until the condition holds."""
-    import time
-
-    from cloak.trainer import jobs
-
     until = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < until
+        assert time.monotonic() < until, session.job and session.job.describe()
         jobs.tick()
         time.sleep(0.01)
+
+
+def run_job(seconds: float = 60) -> jobs.Job:
+    """Let all jobs end; returns the last."""
+    wait_for(lambda: jobs.tick() is None, seconds)
+    return session.job
 
 
 @pytest.fixture
 def ready(stub: Path, tmp_path: Path) -> bpy.types.Object:
     """A body with a logo, and settings for a short run into a folder with a difficult name."""
-    from cloak.blender import faces
     from made import make_egg
 
     obj = make_egg()
@@ -152,8 +144,6 @@ def folder_of(obj: bpy.types.Object) -> Path:
 
 def elsewhere(folder: Path, *lines: str) -> subprocess.CompletedProcess:
     """Let another Blender, which has the add-on and the same trainer, run a script."""
-    from cloak.trainer.preferences import preferences
-
     script = folder / "elsewhere.py"
     python = f"bpy.context.preferences.addons[{MODULE!r}].preferences.program = {preferences().program!r}"
     first = ("import bpy, os, time", f"bpy.ops.preferences.addon_enable(module={MODULE!r})", python)
@@ -172,8 +162,6 @@ print("trainer is process", session.job._process.pid, flush=True)
 
 def red_faces(obj: bpy.types.Object) -> list[int]:
     """The faces in the stub's trained colour."""
-    from cloak.blender import colors
-
     return np.flatnonzero((np.abs(colors.written_colors(obj) - [1, 0, 0]) < 1e-5).all(1)).tolist()
 
 

@@ -9,7 +9,6 @@ import cloak
 from cloak.body import panel as body_panel
 from cloak.logo import paint
 from cloak.result import evaluations, eye, panel
-from cloak.training import detectors
 from cloak.training import panel as training_panel
 
 ROOM = Path(cloak.__file__).parent
@@ -56,29 +55,6 @@ def of_drawing() -> Iterator[str]:
                 for word in node.keywords:
                     if word.arg in WORDS:
                         yield from _texts(word.value)
-
-
-def labels() -> Iterator[str]:
-    """Names that the panels put on the left of a value; those of switches stand on the right and have room."""
-    kinds = (
-        cloak.properties.CloakSettings,
-        cloak.properties.CloakObject,
-        evaluations.CloakJudging,
-        detectors.CloakDetector,
-    )
-    known = {prop.identifier: prop for kind in kinds for prop in kind.bl_rna.properties if prop.type != "BOOLEAN"}
-    for path in (path for path in ROOM.rglob("*.py") if "panel" in path.name or path.name == "wear.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "settings_column":
-                yield from (known[name.value].name for name in node.args[2:] if getattr(name, "value", "") in known)
-            if not isinstance(node, ast.Call) or getattr(node.func, "attr", "") != "prop":
-                continue
-            if getattr(node.args[1], "value", "") in known:
-                words = {word.arg: word.value for word in node.keywords}
-                if "text" in words:
-                    yield from _texts(words["text"])
-                elif "expand" not in words:
-                    yield known[node.args[1].value].name
 
 
 def _texts(node: ast.AST) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 import bpy
 import numpy as np
-import pytest
 from cloak.blender import colors
 from cloak.result import bake
 from made import make_egg
@@ -76,15 +75,6 @@ def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
     nodes = material.node_tree.nodes
     assert tuple(material.preview.image_size) == (128, 128), "not one that Blender renders meanwhile"
     assert [node.uv_map for node in nodes if node.bl_idname == "ShaderNodeUVMap"] == ["cloak.uv"]
-
-
-def test_what_is_missing_is_said():
-    make_egg(8)
-    with pytest.raises(RuntimeError, match="Train, or load colours, first"):
-        bpy.ops.cloak.bake()
-    dressed_egg()
-    with pytest.raises(RuntimeError, match="faces need at least 51 texels along each side: raise Size"):
-        bpy.ops.cloak.bake(size=48)
 
 
 def test_the_body_and_what_it_wears_go_into_a_glb_that_shows_the_colours(tmp_path):

@@ -157,12 +157,6 @@ def test_everything_on_the_mesh_carries_over(mode, triangulate):
     assert np.allclose(pieces, areas, rtol=0.1)
 
 
-def test_the_operator_says_what_happened():
-    obj = make_egg(6)
-    assert bpy.ops.cloak.subdivide(triangulate=False) == {"FINISHED"}
-    assert "cloak.original_face" in obj.data.attributes
-
-
 # --- bodies from scenes ----------------------------------------------------------------------------------------------
 
 
@@ -193,23 +187,10 @@ def test_a_scene_becomes_a_body_and_back():
     obj = samples.add_from_scene(bpy.context, bodies)
     assert faces.logo_names(obj.data) == ["chest"]
     assert topology(obj) == bodies.topology
-    again = export_bodies(bpy.context, obj, PoseChoice("RANGE", 1, 3, 1))
+    again = export_bodies(bpy.context, obj, PoseChoice("RANGE", 1, 3, 1))[0]
     assert np.allclose(again.vertices, bodies.vertices, atol=1e-6)
     assert np.allclose(again.face_colors, bodies.face_colors, atol=1e-3)
     assert again.topology == bodies.topology
-
-
-def test_the_sample_body_does_not_stand_in_the_cube_of_a_new_file(stub):
-    bpy.ops.mesh.primitive_cube_add()
-    cube = bpy.context.object
-    bpy.ops.cloak.add_sample_body()
-    assert run_job().state == "done"
-    obj = bpy.context.object
-    assert obj.name == "Sample Body" and obj.select_get() and not cube.select_get()
-    assert obj.bound_box[0][0] + obj.location.x == pytest.approx(1.3)  # the cube ends at 1
-    bpy.ops.cloak.add_sample_body()
-    run_job()
-    assert bpy.context.object.location.x > obj.location.x + obj.dimensions.x
 
 
 def test_add_sample_body(stub):

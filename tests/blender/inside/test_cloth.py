@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from cloak.blender import colors, faces, mesh_arrays, pictures
 from cloak.body import garments
-from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list
 from cloak.poses.export import export
@@ -105,20 +104,6 @@ def test_a_map_of_the_users_stays_the_active_one(tmp_path):
     assert np.allclose(mesh_arrays.read(obj.data.uv_layers[0].uv, "vector", 2), 0.25)
 
 
-def test_undo_takes_the_cloth_along(tmp_path):
-    obj = make_egg()
-    obj.cloak.run = str(cloth_run(tmp_path, obj, np.arange(100), random_squares()))
-    bpy.ops.ed.undo_push(message="before")
-    bpy.ops.cloak.result_load()
-    bpy.ops.ed.undo_push(message="worn")
-    assert leftovers()[2] == ["cloak.cloth"]
-    bpy.ops.ed.undo()
-    assert leftovers() == ([], [], [])
-    bpy.ops.ed.redo()
-    obj = bpy.data.objects["Body"]
-    assert colors.worn_cloth(obj.data)[0].name == "cloak.cloth" and leftovers()[2] == ["cloak.cloth"]
-
-
 def test_the_cloth_is_saved_with_the_file_and_comes_off_after(clothed, tmp_path):
     obj, ids, squares = clothed
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "cloaked.blend"))
@@ -143,13 +128,6 @@ def test_a_copy_keeps_the_cloth_that_the_original_takes_off(clothed):
     assert colors.worn_cloth(copy.data)[0] is not None and colors.worn_cloth(obj.data)[0] is None
     colors.undress(copy)
     assert leftovers() == ([], [], [])
-
-
-def test_the_cloth_goes_on_to_faces_that_are_subdivided(clothed):
-    obj, ids, _ = clothed
-    body.subdivide(obj)
-    image, worn = colors.worn_cloth(obj.data)
-    assert image is not None and worn.sum() >= 4 * len(ids)
 
 
 def test_live_colours_show_the_cloth_as_it_is_now(tmp_path):

@@ -12,7 +12,7 @@ from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
 from cloak.result.reasons import result_reason
 from cloak.training import runs
-from made import add_ngons, make_egg, set_mode
+from made import make_egg, set_mode
 
 
 def made_run(folder, obj, ids, values, topology=None):
@@ -67,19 +67,6 @@ def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
     centers = np.array([p.center[:2] for p in obj.data.polygons])
     order = np.lexsort((centers[:, 0], np.round(centers[:, 1], 3)))
     assert np.abs(seen - wanted[order]).max() <= 1.001 / 255
-
-
-def test_two_materials_named_for_what_they_show(tmp_path):
-    obj = make_egg(8)
-    runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, np.array([3]), np.float32([[1, 0, 0]])))
-    kinds = lambda: {node.type for node in obj.material_slots[-1].material.node_tree.nodes}
-    assert obj.material_slots[-1].material.name == "Cloak as Detectors Saw"
-    assert "EMISSION" in kinds() and "BSDF_PRINCIPLED" not in kinds()
-    bpy.context.scene.cloak.look = "LOOKDEV"
-    assert obj.material_slots[-1].material.name == "Cloak Lookdev" and "BSDF_PRINCIPLED" in kinds()
-    assert colors.is_dressed(obj) and len(obj.material_slots) == 2
-    colors.undress(obj)
-    assert not colors.is_dressed(obj)
 
 
 def test_agx_is_told_and_standard_offered():
@@ -159,14 +146,6 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     assert "no colours yet" in result_reason(bpy.context)
 
 
-def test_edit_mode_is_said(tmp_path):
-    _, _ = dressed_body(tmp_path)
-    set_mode("EDIT")
-    for name in ("result_load", "result_toggle"):
-        with pytest.raises(RuntimeError, match="Leave Edit Mode"):
-            getattr(bpy.ops.cloak, name)()
-
-
 def test_the_cloak_is_saved_with_the_file(tmp_path):
     _obj, run = dressed_body(tmp_path)
     bpy.ops.cloak.result_load()
@@ -175,18 +154,6 @@ def test_the_cloak_is_saved_with_the_file(tmp_path):
     obj = bpy.data.objects["Body"]
     assert np.allclose(colors.written_colors(obj)[[3, 4, 50]], [1, 0, 0], atol=1e-6)
     assert colors.is_dressed(obj) and obj.cloak.run == f"//{run.name}"
-
-
-def test_ngons_take_their_colour_on_every_corner(tmp_path):
-    obj = make_egg()
-    add_ngons(obj)
-    big = [p.index for p in obj.data.polygons if len(p.vertices) > 4]
-    values = np.random.default_rng(0).random((len(big), 3)).astype(np.float32)
-    runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, big, values))
-    data = obj.data.color_attributes["cloak.colors"].data
-    for polygon, value in zip((obj.data.polygons[i] for i in big), values, strict=True):
-        for loop in polygon.loop_indices:
-            assert np.allclose(data[loop].color[:3], colors.srgb_to_linear(value), atol=1e-6)
 
 
 def test_live_colours_update_only_when_there_is_something_new(tmp_path):
@@ -212,15 +179,6 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
         live.update(bpy.context)
     bpy.data.objects.remove(obj)
     assert not live.update(bpy.context)
-
-
-def test_a_studio_light_is_told_where_it_is_on():
-    space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID", light="STUDIO"))
-    assert "Studio light" in colors.light_reason(space)
-    space.shading.light = "FLAT"
-    assert colors.light_reason(space) == colors.light_reason(None) == ""
-    space.shading.type, space.shading.light = "MATERIAL", "STUDIO"
-    assert colors.light_reason(space) == ""
 
 
 def test_each_viewport_gets_back_what_it_showed_and_no_other_is_touched(monkeypatch):

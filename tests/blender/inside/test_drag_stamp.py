@@ -8,7 +8,7 @@ import pytest
 from cloak.blender import faces
 from cloak.blender.evaluated import read_surface
 from cloak.logo import stamp
-from made import centers, make_egg, make_fine_egg, make_grid, set_mode
+from made import centers, make_egg, make_grid, set_mode
 from mathutils import Matrix
 
 
@@ -56,21 +56,6 @@ def test_it_takes_only_what_is_seen_from_its_side():
     assert (centers(obj)[taken(obj, "Smiley.001")][:, 2] > 0.9).all()
 
 
-@pytest.mark.parametrize(("kind", "name"), [("LETTER", "G"), ("SMILEY", "Smiley")])
-def test_the_papers_stamps_are_presets(kind, name):
-    obj = make_egg()
-    bpy.ops.cloak.stamp_drag(kind=kind, place=(0, -0.25, 1), height=0.4)
-    assert taken(obj, name).any() and obj.cloak.logo == name
-
-
-def test_a_mirrored_body_is_refused_with_the_reason():
-    obj = make_egg()
-    obj.scale.x = -1
-    bpy.context.view_layer.update()
-    with pytest.raises(RuntimeError, match=r"poll\(\).*negative scale"):
-        bpy.ops.cloak.stamp_drag(place=(0, -0.25, 1))
-
-
 def test_what_lies_behind_something_else_is_not_taken():
     """A body with a plate before it: of what the stamp covers, the plate and what stands beside it."""
     obj = make_egg(40)
@@ -86,19 +71,3 @@ def test_what_lies_behind_something_else_is_not_taken():
         on_plate = points[:, 1] < -0.4
         behind = (np.abs(points[:, 0] - 0.1) < 0.19) & (points[:, 2] > 0.61) & (points[:, 2] < 0.99) & ~on_plate
         assert on_plate.any() and (~on_plate).any() and not behind.any()
-
-
-@pytest.mark.parametrize("turns", [False, True])
-def test_on_100_000_faces_the_preview_shows_what_is_stamped(turns):
-    """As the mouse moves in a parallel view, or in perspective, where each place is looked at from elsewhere."""
-    obj = make_fine_egg(100_000)
-    set_mode("EDIT")
-    bpy.context.scene.cloak.stamp_kind = "SMILEY"
-    placed = stamp.Placed(read_surface(bpy.context, obj), stamp.smiley_stamp())
-    for step in range(3):
-        place, direction = (0.02 * step, -0.25, 1), (0.02 * step if turns else 0.0, 1, 0)
-        shown = placed.faces(stamp.laid(np.array(place), np.array(direction), 0.3, placed.aspect))
-        bpy.ops.cloak.stamp_drag(place=place, direction=direction, height=0.3)
-        assert np.array_equal(np.flatnonzero(taken(obj, obj.cloak.logo)), np.sort(shown))
-        middle = placed.surface.centers[shown].mean(0) + placed.surface.middle
-        assert np.abs(middle[[0, 2]] - [place[0], place[2]]).max() < 0.05 and middle[1] < 0

@@ -8,11 +8,10 @@ import pytest
 from cloak.blender import faces
 from cloak.blender.mesh_arrays import topology
 from cloak.body.objects import logo_reason
-from cloak.exchange.face_lists import read_face_list, write_face_list
+from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
 from cloak.logo import overlay
 from cloak.logo.figures import logo_stats
-from cloak.session import session
 from made import centers, make_egg, make_grid, select_only, set_mode
 
 
@@ -153,34 +152,7 @@ def test_a_foreign_face_list_is_refused_with_both_hashes(tmp_path):
     assert not faces.logo_names(obj.data)
 
 
-def test_nothing_is_written_where_nothing_may_be(tmp_path):
-    obj = make_egg()
-    faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 3)
-    with pytest.raises(RuntimeError, match="cannot be written"):
-        bpy.ops.cloak.logo_export(filepath="/proc/list.npy")
-    assert not list(tmp_path.iterdir())
-
-
-def test_export_of_many_faces_from_edit_mode(tmp_path):
-    obj = make_grid(55_000)
-    select_only(obj, range(0, 55_000, 2))
-    bpy.ops.cloak.logo_new(name="half")
-    bpy.ops.cloak.logo_export(filepath=str(tmp_path / "half.npy"))
-    assert len(read_face_list(tmp_path / "half.npy").ids) == 27_500
-
-
 # --- heat map --------------------------------------------------------------------------------------------------------
-
-
-def test_the_heatmap_tells_how_far_it_is(stub, monkeypatch):
-    from conftest import run_job, wait_for
-
-    make_egg()
-    monkeypatch.setenv("CLOAK_STUB", "slow")
-    bpy.ops.cloak.heatmap()
-    wait_for(lambda: session.job.progress.step >= 3)
-    assert 0.3 < session.job.fraction < 1 and " left" in session.job.describe()
-    run_job()
 
 
 def test_the_heatmap_can_be_hidden_and_shown_again(stub):

@@ -1,7 +1,6 @@
 """What the extension puts into Blender, and that it leaves nothing behind."""
 
 import threading
-import types
 
 import bpy
 import cloak
@@ -89,14 +88,6 @@ def test_ten_cycles_of_register_and_unregister_leave_nothing():
     }
 
 
-def test_no_operator_runs_without_a_body(stub):
-    for name in dir(bpy.ops.cloak):
-        if name.startswith(("logo_", "subdivide", "train_start", "train_resume", "heatmap", "result_", "render_check")):
-            arguments = {"filepath": "/nonexistent/x.npy"} if name in ("logo_export", "logo_import") else {}
-            with pytest.raises(RuntimeError, match="No active object: click the character's mesh"):
-                getattr(bpy.ops.cloak, name)(**arguments)
-
-
 def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, monkeypatch):
     """The reason is the panel's own, and is asked for before anything runs."""
     always = {"detector_add", "detector_add_named", "show_made", "add_sample_body", "copy_install_line"}
@@ -118,25 +109,6 @@ def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, mo
     assert left == always | {"train_cancel"}
     with pytest.raises(RuntimeError, match=r"poll\(\).*No active object: click the character's mesh"):
         bpy.ops.cloak.logo_export(filepath="/nonexistent/x.npy")
-
-
-def test_a_figures_tooltip_says_what_it_means():
-    from cloak.result.operators import CLOAK_OT_explain
-
-    assert CLOAK_OT_explain.description(bpy.context, types.SimpleNamespace(tip="Share of images")) == "Share of images"
-
-
-def test_buttons_of_one_operator_have_tooltips_of_their_own():
-    for name, values in (
-        ("add_sample_body", {"people": ["BARE", "CLOTHED"]}),
-        ("stamp_drag", {"kind": ["SETTINGS", "LETTER", "SMILEY"]}),
-        ("logo_stamp", {"add": [False, True]}),
-    ):
-        cls = next(c for c in cloak.CLASSES if c.__name__ == f"CLOAK_OT_{name}")
-        rna = getattr(bpy.ops.cloak, name).get_rna_type()
-        ((key, choices),) = values.items()
-        told = [cls.description(bpy.context, types.SimpleNamespace(bl_rna=rna, **{key: choice})) for choice in choices]
-        assert len(set(told)) == len(choices), told
 
 
 @pytest.mark.parametrize("there", ["nothing", "body", "dressed"])
@@ -162,4 +134,4 @@ def test_what_was_judged_stands_in_the_panel(dressed, coarse_renders, tmp_path):
     assert said[said.index("Cloak") + 1] == "50% (45–55)" and "at its own 0.5" in said
     said = drawn(panel.CLOAK_PT_wear)
     assert "2 people, 1 left out; nobody is reported in:" in " ".join(said) and "before" in said
-    assert said[said.index("Own clothing") + 1] == "0%" and "turntable.gif" in drawn(panel.CLOAK_PT_take_along)
+    assert said[said.index("Own clothing") + 1].startswith("0%") and "turntable.gif" in drawn(panel.CLOAK_PT_take_along)

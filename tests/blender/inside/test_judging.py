@@ -47,23 +47,6 @@ def test_evaluate_tells_how_far_it_is_and_what_came_out(dressed, monkeypatch):
     assert run_list.read_state(folder_of(dressed)).evaluation.outdated
 
 
-def test_the_panel_is_drawn_again_while_any_job_runs(dressed, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(jobs, "redraw", lambda panels_alone: drawn.append(panels_alone))
-    bpy.ops.cloak.evaluate()
-    assert run_job().state == "done" and drawn and all(drawn), "the sidebars alone"
-
-
-def test_evaluation_can_be_cancelled(dressed, monkeypatch):
-    monkeypatch.setenv("CLOAK_STUB", "slow")
-    bpy.ops.cloak.evaluate()
-    wait_for(lambda: session.job.progress.step >= 1)
-    bpy.ops.cloak.train_cancel()
-    job = run_job()
-    assert job.state == "stopped" and job.message == "Evaluation stopped"
-    assert run_list.read_state(folder_of(dressed)).evaluation is None
-
-
 def test_evaluation_on_frames_exports_them_and_says_so(dressed, tmp_path):
     judging = bpy.context.scene.cloak.judging
     judging.bodies, judging.frame_start, judging.frame_end, judging.frame_step = "FRAMES", 3, 9, 3

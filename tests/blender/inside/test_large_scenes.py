@@ -6,7 +6,6 @@ import bpy
 import numpy as np
 import pytest
 from cloak.body import garments
-from cloak.body.objects import logo_reason
 from cloak.logo import overlay
 from cloak.poses.export import export_summary, poses_reason
 from cloak.session import session
@@ -84,23 +83,6 @@ def test_a_moved_object_alone_is_asked_about(crowd, monkeypatch):
     assert asked == [1, 1, 1]
 
 
-@pytest.mark.parametrize("active", ["a body without a logo", "no body"])
-def test_a_reason_that_names_another_object_is_quick(crowd, active):
-    chosen = make_egg() if active != "no body" else bpy.data.objects.new("Stand", None)
-    if active == "no body":
-        bpy.context.collection.objects.link(chosen)
-    bpy.context.view_layer.objects.active = chosen
-    bpy.context.view_layer.update()
-    reasons = lambda: [logo_reason(bpy.context) for _ in range(30)]  # each button asks
-    assert (f"'{crowd[0].name}' has one" in reasons()[0]) is (active != "no body")
-
-    def move() -> float:
-        move_one()
-        return seconds(reasons)
-
-    assert min(move() for _ in range(3)) < MOVED
-
-
 def test_what_is_kept_equals_what_all_objects_say():
     session.keeps, draws = True, np.random.default_rng(3)
     body, holder = make_egg(), bpy.data.collections.new("Jacket")
@@ -132,24 +114,6 @@ def test_what_is_kept_equals_what_all_objects_say():
         found.add(frozenset(kept))
     session.keeps = False
     assert len(found) > 30
-
-
-@pytest.mark.parametrize("crowd", [100], indirect=True)
-def test_what_is_kept_follows_every_change(crowd):
-    body, shirt = crowd
-    cube = bpy.data.objects["Cube 77"]
-    assert garments.worn_by(body) == [shirt]
-    cube.location = (0, 0, 1)
-    bpy.context.view_layer.update()
-    assert garments.worn_by(body) == [cube, shirt]
-    shirt.hide_set(True)
-    bpy.context.view_layer.update()
-    assert garments.worn_by(body) == [cube]
-    cube.cloak.left_out = True
-    assert garments.worn_by(body) == [] and garments.wearable(body) == [cube]
-    bpy.data.objects.remove(cube)
-    bpy.context.view_layer.update()
-    assert garments.wearable(body) == []
 
 
 def test_what_lies_on_the_body_and_is_no_mesh_is_named():

@@ -50,53 +50,24 @@ def half_egg() -> bpy.types.Object:
     return obj
 
 
-def subsurf(obj):
-    obj.modifiers.new("Subdivision", "SUBSURF").levels = 1
+MAKE_FACES = {
+    "subdivision": lambda obj: setattr(obj.modifiers.new("Subdivision", "SUBSURF"), "levels", 1),
+    "mirror": lambda obj: obj.modifiers.new("Mirror", "MIRROR"),
+    "solidify": lambda obj: setattr(obj.modifiers.new("Solidify", "SOLIDIFY"), "thickness", 0.02),
+    "nodes": lambda obj: nodes(obj, "GeometryNodeSubdivideMesh"),
+    "array": lambda obj: [obj.modifiers.new(kind.title(), kind) for kind in ("ARRAY", "TRIANGULATE")],
+}
+KEEP_FACES = {
+    "smooth by angle": lambda obj: nodes(obj, "GeometryNodeSetShadeSmooth"),
+    "empty nodes": nodes,
+    "nodes without a tree": lambda obj: obj.modifiers.new("Nodes", "NODES"),
+    "multires at level 0": lambda obj: obj.modifiers.new("Multires", "MULTIRES"),
+    "decimate by nothing": lambda obj: obj.modifiers.new("Decimate", "DECIMATE"),
+}
+making = pytest.mark.parametrize("add", MAKE_FACES.values(), ids=MAKE_FACES)
 
 
-def mirror(obj):
-    obj.modifiers.new("Mirror", "MIRROR")
-
-
-def solidify(obj):
-    obj.modifiers.new("Solidify", "SOLIDIFY").thickness = 0.02
-
-
-def subdivide_nodes(obj):
-    nodes(obj, "GeometryNodeSubdivideMesh")
-
-
-def array_and_triangulate(obj):
-    obj.modifiers.new("Array", "ARRAY").count = 2
-    obj.modifiers.new("Triangulate", "TRIANGULATE")
-
-
-# --- what changes nothing blocks nothing -----------------------------------------------------------------------------
-
-
-def smooth_by_angle(obj):
-    nodes(obj, "GeometryNodeSetShadeSmooth")
-
-
-def empty_nodes(obj):
-    nodes(obj)
-
-
-def nodes_without_a_tree(obj):
-    obj.modifiers.new("Nodes", "NODES")
-
-
-def multires_at_level_0(obj):
-    obj.modifiers.new("Multires", "MULTIRES")
-
-
-def decimate_by_nothing(obj):
-    obj.modifiers.new("Decimate", "DECIMATE")
-
-
-@pytest.mark.parametrize(
-    "add", [smooth_by_angle, empty_nodes, nodes_without_a_tree, multires_at_level_0, decimate_by_nothing]
-)
+@pytest.mark.parametrize("add", KEEP_FACES.values(), ids=KEEP_FACES)
 def test_modifiers_that_change_no_face_do_not_block(add, tmp_path):
     obj = make_egg(10)
     faces.new_logo(obj, "chest", np.arange(len(obj.data.polygons)) < 30)
@@ -110,7 +81,7 @@ def test_modifiers_that_change_no_face_do_not_block(add, tmp_path):
 # --- logos are carried -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("add", [subsurf, mirror, solidify, subdivide_nodes, array_and_triangulate])
+@making
 def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
     obj = half_egg()
     own = len(obj.data.polygons)
@@ -132,7 +103,7 @@ def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
     assert CARRIED not in obj.data.attributes
 
 
-@pytest.mark.parametrize("add", [subsurf, mirror, solidify, subdivide_nodes, array_and_triangulate])
+@making
 def test_trained_colours_are_seen_where_they_were_trained(add, tmp_path):
     """Every evaluated face shows the colour of the own face that its triangles were exported with."""
     obj = half_egg()

@@ -1,15 +1,12 @@
 """The brush: strokes as lists of places, in both modes; and the surface that it asks."""
 
-from types import SimpleNamespace
-
 import bpy
 import numpy as np
 import pytest
 from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
-from cloak.blender import colors, faces
+from cloak.blender import faces
 from cloak.blender.evaluated import read_surface
-from cloak.logo import overlay
-from made import add_ngons, centers, make_egg, make_fine_egg, set_mode, stroke
+from made import add_ngons, centers, make_egg, set_mode, stroke
 from mathutils import Matrix, Vector
 
 FRONT = (0.1, -0.24, 0.95)
@@ -143,40 +140,8 @@ def test_rays_meet_what_blender_says_they_meet():
     assert 10 < met < 60
 
 
-def test_a_dab_on_300_000_faces():
-    obj = make_fine_egg(300_000)
-    set_mode("EDIT")
-    place = np.array(on_egg(obj, 0.1, 0.95))
-    surface = read_surface(bpy.context, obj)
-    assert np.abs(surface.hits(np.array([0.1, -9, 0.95]), np.array([0, 1, 0]))[0] - place).max() < 0.01
-    painted = surface.around(place, 0.1)
-    away = np.linalg.norm(surface.centers + surface.middle - place, axis=1)
-    facing = surface.normals @ surface.normals[surface.around(place, 0.0)[0]] > 0
-    assert np.array_equal(np.sort(painted), np.flatnonzero((away <= 0.1) & facing))
-
-
 def test_the_tool_stands_in_the_toolbars_with_its_keys():
     cls = ToolSelectPanelHelper._tool_class_from_space_type("VIEW_3D")
     for mode in ("EDIT_MESH", "OBJECT"):
         names = [item.idname for item in ToolSelectPanelHelper._tools_flatten(cls._tools[mode]) if item]
         assert names.count("cloak.paint_logo") == 1
-
-
-def test_a_logo_is_seen_while_it_is_painted_under_its_cloak_too(dressed, monkeypatch):
-    faces.new_logo(dressed, "chest", np.arange(len(dressed.data.polygons)) < 9)
-    drawn, tool = [], SimpleNamespace(idname="builtin.select")
-    for kept, name in ((overlay._outline, "outline"), (overlay._tint, "tint")):
-        monkeypatch.setattr(kept, "draw", lambda *_, name=name: drawn.append(name))
-    view = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True), shading=SimpleNamespace(type="MATERIAL"))
-    tools = SimpleNamespace(from_space_view3d_mode=lambda mode, create: tool)
-    context = SimpleNamespace(object=dressed, mode="OBJECT", scene=bpy.context.scene, space_data=view)
-    context.workspace = SimpleNamespace(tools=tools)
-    monkeypatch.setattr(overlay, "bpy", SimpleNamespace(context=context, types=bpy.types))
-    overlay._draw()
-    assert drawn == [], "a tint would falsify the trained colours"
-    tool.idname = overlay.PAINT
-    overlay._draw()
-    assert drawn == ["outline"]
-    colors.undress(dressed)
-    overlay._draw()
-    assert drawn == ["outline", "tint"]

@@ -59,7 +59,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     answer("Sample", cloak_command(python, *sample_words(tmp_path / "sample")))
     obj = samples.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
-    write_scene(tmp_path / "scene", export_bodies(bpy.context, obj, PoseChoice()))
+    write_scene(tmp_path / "scene", export_bodies(bpy.context, obj, PoseChoice())[0])
     allow([f"python:{RED}:load"])
     given = options([f"python:{RED}:load"], backgrounds="procedural:train:2", angles="0:0:1")
     words = [*heatmap_words(given, tmp_path), "--events", tmp_path / "e"]

@@ -7,9 +7,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.files.errors import InputError
-from cloak.result import operators as result
 from cloak.result import render_check
-from cloak.trainer.jobs import Job
 from cloak.training import run_list, runs
 from conftest import folder_of, run_job
 from made import make_egg
@@ -131,23 +129,6 @@ def test_each_detector_judges_by_its_own_threshold(tmp_path):
     told = render_check.describe_all(found)
     assert told.startswith("Holds against 1 of 2 detectors. Worst, onnx:b.onnx@conf=0.25: The cloak holds in 1 of 2")
     assert render_check.last_verdicts(tmp_path) == tuple(found)
-
-
-def test_a_failed_cloak_gets_no_green_tick(tmp_path, stub, monkeypatch):
-    """The panel ticks off jobs that are done and no bad news."""
-    obj = dressed(tmp_path)
-    plan = render_check.Plan(obj.name, tmp_path, (0,))
-    job = Job(
-        "Render check",
-        [["true"]] * 3,
-        tmp_path,
-        "check",
-        lambda job: result._judge(job, plan, ("builtin",), obj.session_uid),
-    )
-    verdict = render_check.Verdict((0.8, 0.9), (), "builtin", 0.5)
-    monkeypatch.setattr(render_check, "verdicts", lambda *_: [verdict])
-    job.wait(120)
-    assert job.state == "done" and job.is_bad_news and "The cloak failed" in obj.cloak.verdict
 
 
 def test_it_wants_the_cloak_on(tmp_path, stub):

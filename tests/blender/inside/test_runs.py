@@ -1,6 +1,5 @@
 """The list of runs: found on the disk, so that neither undo nor a killed Blender loses one."""
 
-import fcntl
 import json
 import os
 import re
@@ -133,17 +132,6 @@ def test_a_deleted_body_is_said_at_once_and_undo_brings_all_back(ready, monkeypa
     assert session.job.notice == "" and folder_of(bpy.data.objects["Body"]) == run
     bpy.ops.cloak.train_cancel()
     assert run_job().state == "stopped" and red_faces(bpy.data.objects["Body"]) == LOGO_FACES
-
-
-def test_a_body_that_was_changed_is_said_at_once(ready, monkeypatch):
-    from cloak.body import objects as body
-
-    monkeypatch.setenv("CLOAK_STUB", "slow")
-    bpy.context.scene.cloak.live_seconds, bpy.context.scene.cloak.steps = 0.5, 300
-    bpy.ops.cloak.train_start()
-    body.subdivide(ready)
-    wait_for(lambda: "changed since export" in session.job.notice)
-    assert session.job.running
 
 
 # --- more steps -------------------------------------------------------------------------------------------------------
@@ -307,15 +295,6 @@ def test_only_what_cloak_made_is_deleted(ready, tmp_path):
     with pytest.raises(InputError, match="left alone"):
         runs.remove(run)
     assert (run / "logo.npy").exists() and (output / "holiday" / "photo.jpg").exists()
-
-
-def test_the_lock_tells_who_is_running_and_asking_does_not_make_it(tmp_path):
-    assert not run_list.is_running(tmp_path) and not (tmp_path / ".lock").exists()
-    with (tmp_path / ".lock").open("a") as file:
-        assert not run_list.is_running(tmp_path)
-        fcntl.flock(file, fcntl.LOCK_EX)
-        assert run_list.is_running(tmp_path)
-    assert not run_list.is_running(tmp_path)
 
 
 def test_damaged_run_folders_are_listed_and_harm_nobody(ready):

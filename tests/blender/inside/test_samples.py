@@ -6,12 +6,11 @@ import pytest
 from cloak.blender import colors, faces
 from cloak.blender.mesh_arrays import topology
 from cloak.body import garments
-from cloak.body.samples import CLOTHES, add_people, part_of
+from cloak.body.samples import CLOTHES, add_people
 from cloak.exchange.bodies import Bodies
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
-from cloak.files.errors import InputError
 from cloak.logo import operators as heat
 from cloak.logo import overlay
 from cloak.poses import export as scene_export
@@ -91,12 +90,6 @@ def test_an_export_has_the_faces_colours_and_poses_of_the_clothed_people(clothed
     assert read_face_list(done.face_list, bodies).ids.tolist() == list(range(6, 18))
 
 
-def test_a_logo_that_nothing_wears_is_refused(clothed, tmp_path):
-    faces.write_faces(clothed, "void", np.zeros(6, bool))
-    with pytest.raises(InputError, match="'void' is empty"):
-        exported(clothed, tmp_path, "void")
-
-
 def test_figures_and_tint_count_the_garments(clothed):
     stats = overlay.active_stats(clothed)
     assert stats.faces == 12 and 0.5 < stats.area_share < 0.9
@@ -128,9 +121,3 @@ def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):
     assert shirt.data.color_attributes.active_color_name == "cloak.outfit", (
         "or Solid shading would still show the cloak"
     )
-
-
-def test_a_part_keeps_its_own_regions():
-    part = part_of(made_clothed(), "trousers")
-    assert part.face_count == 6 and part.vertex_count == 8 and set(part.regions) == {CLOTHES, "trousers"}
-    assert np.array_equal(part.triangle_face, np.repeat(np.arange(6), 2))

@@ -73,7 +73,7 @@ def test_what_was_never_played_is_played(kind):
     bpy.data.objects.remove(bpy.data.objects["Sheet"])
     make_sheet(obj, kind)
     bpy.context.scene.frame_set(17)
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)
+    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)[0]
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
     assert bpy.context.scene.frame_current == 17
 
@@ -86,7 +86,7 @@ def test_a_logo_on_cloth_that_is_refined_after_the_simulation():
     fine.levels = 1
     faces.new_logo(sheet, "chest", np.arange(len(sheet.data.polygons)) < 3)
     expected = played(sheet)
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES, "chest")
+    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES, "chest")[0]
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
 
 
@@ -99,7 +99,7 @@ def test_a_baked_simulation_is_not_played_again():
     with bpy.context.temp_override(scene=bpy.context.scene, object=sheet, active_object=sheet, point_cache=cache):
         bpy.ops.ptcache.bake(bake=True)
     assert cache.is_baked and poses.first_frame(bpy.context.scene, [obj, sheet]) is None
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)
+    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)[0]
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
 
 
@@ -113,7 +113,7 @@ def test_every_action_does_not_go_with_a_simulation():
     assert "'Sheet' is simulated (Falls)" in poses_reason(bpy.context, actions)
     assert not poses_reason(bpy.context, FRAMES)
     with pytest.raises(InputError, match="choose Frame Range"):
-        scene_export.export_bodies(bpy.context, obj, actions)
+        scene_export.export_bodies(bpy.context, obj, actions)[0]
     bpy.data.objects["Sheet"].modifiers["Falls"].show_viewport = False
     assert not poses_reason(bpy.context, actions)
 
@@ -136,5 +136,5 @@ def test_an_alembic_cache_is_exported_frame_by_frame(tmp_path):
         faces.new_logo(worn, "chest", np.arange(len(worn.data.polygons)) < 3)
     bpy.context.view_layer.update()
     assert not poses_reason(bpy.context, FRAMES)
-    bodies = scene_export.export_bodies(bpy.context, body, FRAMES, "chest")
+    bodies = scene_export.export_bodies(bpy.context, body, FRAMES, "chest")[0]
     assert np.abs(heights(bodies, body) - expected).max() < 2e-3

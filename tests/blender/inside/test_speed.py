@@ -4,32 +4,10 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces, mesh_arrays, occlusion
-from cloak.exchange.face_lists import read_face_list
-from cloak.logo import overlay
 from cloak.session import session
-from made import make_egg, make_fine_egg, select_only, set_mode
+from made import make_egg, set_mode
 
 FACES = 100_000
-
-
-def test_every_action_on_a_large_mesh_in_edit_mode(tmp_path):
-    obj = make_fine_egg(FACES)
-    bpy.context.scene.cloak.stamp_size = 0.4
-    count = len(obj.data.polygons)
-    select_only(obj, range(count // 3, count // 2))
-    actions = {
-        "new": lambda: bpy.ops.cloak.logo_new(name="logo"),
-        "stamp": lambda: bpy.ops.cloak.logo_stamp(add=True),
-        "figures": lambda: overlay.active_stats(obj),
-        "tint": lambda: overlay.tint_triangles(obj, faces.read_faces(obj, "logo")),
-        "assign": bpy.ops.cloak.logo_assign,
-        "select": bpy.ops.cloak.logo_select,
-        "export": lambda: bpy.ops.cloak.logo_export(filepath=str(tmp_path / "list.npy")),
-    }
-    for action in actions.values():
-        action()
-    assert len(read_face_list(tmp_path / "list.npy").ids) == faces.read_faces(obj, "logo").sum() > count // 6
-    assert not [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(".cloak")]
 
 
 def test_selecting_and_moving_an_object_do_not_count_as_changes_of_the_logo():

@@ -16,6 +16,7 @@ from cloak.training import run_list, runs
 from cloak.training.operators import run_reason
 from conftest import LOGO_FACES, folder_of, red_faces, run_job, wait_for
 from made import make_egg, set_mode
+from test_runs import choose, listed
 
 
 @pytest.fixture
@@ -34,12 +35,6 @@ def training(ready, monkeypatch, tmp_path) -> Path:
 def cancel() -> jobs.Job:
     bpy.ops.cloak.train_cancel()
     return run_job()
-
-
-def choose(run: Path) -> None:
-    run_list.refresh(bpy.context)
-    window = bpy.context.window_manager.cloak
-    window.run_index = [Path(item.path) for item in window.runs].index(run)
 
 
 def test_revert_open_rename_and_duplicate_find_the_body_again(training, tmp_path):
@@ -68,7 +63,7 @@ def test_another_file_hears_nothing_of_how_it_ended(training, tmp_path):
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert session.job is None
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "body.blend"))
-    choose(training)
+    choose(training.name)
     bpy.ops.cloak.result_load()
     assert red_faces(bpy.data.objects["Body"]) == LOGO_FACES
 
@@ -104,12 +99,12 @@ def color_of(obj: bpy.types.Object) -> list[float]:
 
 def test_what_is_chosen_is_worn_and_what_is_worn_is_judged(ready):
     first, second = finished_run(ready, (0, 1, 0)), finished_run(ready, (0, 0, 1))
-    choose(first)
+    choose(first.name)
     assert color_of(ready) == [0, 1, 0] and judged_reason(bpy.context) == ""
-    choose(second)
+    choose(second.name)
     assert color_of(ready) == [0, 0, 1]
     set_mode("EDIT")
-    choose(first)
+    choose(first.name)
     set_mode("OBJECT")
     assert color_of(ready) == [0, 0, 1]
     told = f"The model wears {second.name}, chosen is {first.name}: press Load Colours"
@@ -124,7 +119,7 @@ def test_a_training_does_not_paint_over_another_run_that_was_chosen(ready, monke
     bpy.context.scene.cloak.live_seconds, bpy.context.scene.cloak.steps = 0.5, 300
     bpy.ops.cloak.train_start()
     wait_for(lambda: red_faces(ready) == LOGO_FACES)
-    choose(first)
+    choose(first.name)
     step = session.job.progress.step
     wait_for(lambda: session.job.progress.step > step + 8)
     assert color_of(ready) == [0, 1, 0] and "wears another run" in session.job.notice
@@ -141,13 +136,11 @@ def test_rows_keep_their_places_and_attach_finds_its_body(training, monkeypatch)
     bpy.context.scene.cloak.steps = 3
     bpy.ops.cloak.train_start()
     assert run_job().state == "done"
-    run_list.refresh(bpy.context)
-    order = [Path(item.path).name for item in bpy.context.window_manager.cloak.runs]
+    order = list(listed())
     os.utime(training / "events.jsonl")
-    run_list.refresh(bpy.context)
-    assert [Path(item.path).name for item in bpy.context.window_manager.cloak.runs] == order
+    assert list(listed()) == order
     other = make_egg(6, name="Another")
     faces.new_logo(other, "x", np.ones(len(other.data.polygons), bool))
     assert bpy.context.object == other and runs.body_of(training, runs.trained_faces(training)[1]) == body
-    choose(training)
+    choose(training.name)
     assert "is not being trained" in run_reason(bpy.context, "followed")

@@ -73,26 +73,3 @@ def test_only_faces_that_are_seen_are_taken():
     hidden[np.flatnonzero(mask)[:7]] = True
     obj.data.polygons.foreach_set("hide", hidden)
     assert (covered(obj, wall, projection) == mask & ~hidden).all()
-
-
-def test_a_front_part_hides_what_lies_behind_it():
-    obj = make_grid(800)
-    bpy.ops.object.select_all(action="DESELECT")
-    front = make_grid(800, "Front")
-    for vertex in front.data.vertices:
-        vertex.co.y -= 0.5
-        vertex.co.x *= 0.5
-    with bpy.context.temp_override(active_object=obj, selected_editable_objects=[obj, front]):
-        bpy.ops.object.join()
-    wall = np.ones((8, 8), bool)
-    mask = covered(obj, wall, stamp.front_projection(obj, 1.0, 0.5, 0.0, 1.0))
-    taken = centers(obj)[mask]
-    assert (np.abs(taken[taken[:, 1] > -0.25][:, 0]) > 0.45).all() and (taken[:, 1] < -0.25).any()
-
-
-def test_a_stamp_beside_the_body_is_said():
-    make_egg()
-    settings = bpy.context.scene.cloak
-    settings.stamp_kind, settings.stamp_size, settings.stamp_offset = "SMILEY", 0.05, 0.5
-    with pytest.raises(RuntimeError, match="covers no visible face: change its size or place"):
-        bpy.ops.cloak.logo_stamp()

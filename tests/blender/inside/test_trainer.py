@@ -11,10 +11,9 @@ from cloak.blender import colors, pictures
 from cloak.files.errors import InputError
 from cloak.result import try_it
 from cloak.session import session
-from cloak.trainer import command_lines, jobs, program
+from cloak.trainer import command_lines, program
 from cloak.trainer import preferences as preferences_module
 from cloak.trainer.command_lines import cloak_command
-from cloak.trainer.jobs import Job
 from cloak.trainer.preferences import preferences, trainer, trainer_reason
 from cloak.training.operators import train_reason
 from conftest import run_job
@@ -36,7 +35,7 @@ def nowhere(monkeypatch, tmp_path) -> Path:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PATH", "/bin")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    monkeypatch.setattr(preferences_module, "_looked", ("", 0.0, ""))
+    preferences_module._reason.cache_clear()
     preferences().program = ""
     return tmp_path / "home"
 
@@ -124,24 +123,6 @@ def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, 
         and bpy.context.scene.view_settings.view_transform == "Standard"
     )
     assert "person detected in 0 of 2 renders with the cloak" in job.message
-
-
-def test_a_notice_is_shown_only_where_no_panel_is_seen(stub, tmp_path, monkeypatch):
-    """However long a redraw takes: the panel is seen where it was drawn after it was asked to."""
-    shown = []
-    monkeypatch.setattr(jobs, "notify", shown.append)
-    for seen, code in ((False, 0), (False, 2), (True, 0)):
-        monkeypatch.setattr(jobs, "redraw", lambda panels_alone, seen=seen: setattr(session, "panel_seen", seen))
-        session.panel_seen = seen
-        jobs.launch(Job("One", [[str(stub), "-c", f"raise SystemExit({code})"]], tmp_path, "one"))
-        run_job()
-    assert shown == ["One done", "One: the trainer refused its input"]
-
-
-def test_presets_of_angles():
-    bpy.ops.cloak.set_angles(angles="AROUND")
-    settings = bpy.context.scene.cloak
-    assert (settings.angle_first, settings.angle_last, settings.angle_step) == (-180, 165, 15)
 
 
 def test_a_wrong_program_is_said(ready, tmp_path):

@@ -2,10 +2,7 @@
 
 import json
 import math
-import os
 import re
-import threading
-import time
 from pathlib import Path
 
 import bpy
@@ -17,6 +14,7 @@ from cloak.training import run_list
 from cloak.training.operators import run_reason, train_reason
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import set_mode
+from test_runs import is_alive
 
 
 def test_start_to_colours(ready):
@@ -30,8 +28,9 @@ def test_start_to_colours(ready):
     run = Path(ready.cloak.run)
     assert run.parent.name == "Läufe und mehr" and "/" not in run.name and "Brust_Ärmel" in run.name
     assert result_reason(bpy.context) == ""
-    bpy.ops.cloak.train_start()  # a second run gets a folder of its own
-    assert run_job().state == "done" and Path(ready.cloak.run).name == run.name + " 2"
+    set_mode("EDIT")
+    bpy.ops.cloak.train_start()  # leaves Edit Mode; a second run gets a folder of its own
+    assert ready.mode == "OBJECT" and run_job().state == "done" and Path(ready.cloak.run).name == run.name + " 2"
 
 
 def test_progress_live_colours_and_cancel_then_resume(ready, monkeypatch):
@@ -129,27 +128,15 @@ def test_object_deleted_or_in_edit_mode_at_the_end(ready):
     assert "the object is gone" in run_job().message
 
 
-def test_start_leaves_edit_mode_and_takes_what_was_edited(ready):
-    set_mode("EDIT")
-    bpy.ops.cloak.train_start()
-    assert ready.mode == "OBJECT"
-    assert run_job().state == "done" and red_faces(ready) == LOGO_FACES
-
-
 # --- folders ----------------------------------------------------------------------------------------------------------
 
 
-def test_read_only_output(ready):
-    bpy.context.scene.cloak.output = "/proc/cloak"
-    with pytest.raises(RuntimeError, match="cannot be written"):
+@pytest.mark.parametrize(("output", "words"), [("/proc/cloak", "cannot be written"), ("//runs", "save that first")])
+def test_an_output_that_cannot_be_is_refused(ready, output, words):
+    bpy.context.scene.cloak.output = output
+    with pytest.raises(RuntimeError, match=words):
         bpy.ops.cloak.train_start()
     assert session.job is None and not ready.cloak.run
-
-
-def test_output_beside_an_unsaved_file_is_refused(ready):
-    bpy.context.scene.cloak.output = "//runs"
-    with pytest.raises(RuntimeError, match="save that first"):
-        bpy.ops.cloak.train_start()
 
 
 def test_runs_of_a_file_without_a_name_outlive_the_extension(ready):
@@ -180,10 +167,6 @@ def test_disabling_the_add_on_ends_the_training_in_order(ready, monkeypatch):
     try:
         assert (run / "cancel").exists()
         job._process.wait(timeout=120)
-        wait_until = time.monotonic() + 120
-        while any(t.name == "cloak events" for t in threading.enumerate()) and time.monotonic() < wait_until:
-            time.sleep(0.01)
-        assert not any(t.name == "cloak events" for t in threading.enumerate())
     finally:
         bpy.ops.preferences.addon_enable(module=MODULE)
 
@@ -203,10 +186,7 @@ def test_closing_blender_mid_run_and_resuming_from_the_saved_file(ready, monkeyp
     )
     said = re.search(r"trainer is process (\d+)", there.stdout)
     assert said, there.stdout + there.stderr
-    until = time.monotonic() + 120
-    while _alive(int(said[1])) and time.monotonic() < until:
-        time.sleep(0.02)
-    assert not _alive(int(said[1]))
+    wait_for(lambda: not is_alive(int(said[1])))
     bpy.ops.wm.open_mainfile(filepath=str(file))
     obj = bpy.data.objects["Body"]
     bpy.context.view_layer.objects.active = obj
@@ -214,11 +194,3 @@ def test_closing_blender_mid_run_and_resuming_from_the_saved_file(ready, monkeyp
     assert run_reason(bpy.context, "resumed") == ""
     bpy.ops.cloak.train_resume()
     assert run_job().state == "done" and red_faces(obj) == LOGO_FACES
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] != "Z"

@@ -4,7 +4,7 @@ import json
 
 import bpy
 import pytest
-from cloak.result import wear
+from cloak.result import reasons
 from conftest import folder_of, run_job
 
 
@@ -24,7 +24,7 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     bpy.ops.cloak.wear()
     job = run_job()
     assert (job.state, job.message) == ("done", "2 people wear it")
-    worn = wear.last_worn(folder_of(dressed))
+    worn = reasons.last_worn(folder_of(dressed))
     assert (worn.people, worn.left_out, len(worn.pictures)) == (2, 1, 8)
     (judged,) = worn.detectors
     rates = {name: own.value for name, (_, own) in judged.rates.items()}
@@ -32,4 +32,4 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     assert [path.stem for path in worn.pictures[:2]] == ["before", "after run"]
     bpy.ops.cloak.wear()
     run_job()
-    assert wear.last_worn(folder_of(dressed)).folder.name == "worn by people 2"
+    assert reasons.last_worn(folder_of(dressed)).folder.name == "worn by people 2"

@@ -4,7 +4,6 @@ CLOAK_STUB in the environment, a comma list, makes it misbehave: "slow" (0.1 s a
 event lines), "die" (kills itself at step 5), "refuse" (exit code 2), "crash" (exit code 1).
 """
 
-import argparse
 import fcntl
 import json
 import os
@@ -20,100 +19,99 @@ assert "" not in sys.path and os.getcwd() not in sys.path, "the current folder m
 assert not {"PYTHONHOME"} & set(os.environ)
 
 
-def main() -> None:
-    if sys.argv[1] == "setup":
-        if "refuse" in HOW:
-            refuse("no libtorch.so")
-        print(json.dumps({"cloak": "0.stub", "torch": "0.stub", "python": "3.11.0", "device": "CPU", "program": "x"}))
-    elif sys.argv[1:3] == ["scene", "sample"]:
-        sample(Path(sys.argv[sys.argv.index("--out") + 1]))
-    elif sys.argv[1:3] == ["logo", "heatmap"]:
-        heatmap(Path(given("--scene")), Path(given("--out")))
-    elif sys.argv[1] == "evaluate":
-        evaluate(Path(sys.argv[2]))
-    elif sys.argv[1] == "wear":
-        wear(Path(given("--people")), Path(given("--out")))
-    elif sys.argv[1] == "film":
-        film(Path(given("--out")))
-    elif sys.argv[1] == "print":
-        Path(given("--out")).mkdir()
-        Path(given("--out"), "sheets.pdf").touch()
-    elif sys.argv[1] == "look":
-        look()
-    elif sys.argv[1:3] == ["detectors", "verify"]:
-        verify(sys.argv[3])
-    elif sys.argv[1:3] == ["detectors", "check"]:
-        check(sys.argv[3], Path(sys.argv[sys.argv.index("--image") + 1]))
-    elif sys.argv[1] == "report":
-        Path(sys.argv[2], "report.html").write_text("<p>report</p>")
-        print(json.dumps({"report": "report.html"}))
-    else:
-        train(sys.argv[1:])
+def every(option: str) -> list[str]:
+    """All values of an option, in words of their own or behind =."""
+    words = [word.partition("=")[2] for word in sys.argv if word.startswith(f"{option}=")]
+    return words or [sys.argv[place + 1] for place, word in enumerate(sys.argv) if word == option]
 
 
 def given(option: str) -> str:
-    """The option's value, in a word of its own or behind =."""
-    joined = [word.partition("=")[2] for word in sys.argv if word.startswith(f"{option}=")]
-    return joined[0] if joined else sys.argv[sys.argv.index(option) + 1]
+    return every(option)[0]
+
+
+def refuse(message: str) -> None:
+    print(f"cloak: {message}", file=sys.stderr)
+    sys.exit(2)
+
+
+def replace(path: Path, record: dict) -> None:
+    """All or nothing, as the real trainer writes: somebody looks, and it may be killed at any moment."""
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(json.dumps(record))
+    os.replace(temporary, path)
+
+
+def tell(events, **event: object) -> None:
+    events.write(json.dumps(event) + "\n")
+    events.flush()
+    if "slow" in HOW and event["type"] == "step":
+        time.sleep(0.1)
 
 
 def count(total: int) -> None:
     """Tell how far it is, as the real one does, and take so long that somebody can look."""
     with Path(given("--events")).open("a") as events:
-        tell(events, {"type": "start", "step": 0, "time": 0.0, "steps": total})
+        tell(events, type="start", step=0, time=0.0, steps=total)
         for step in range(1, total + 1):
-            if "slow" in HOW:
-                time.sleep(0.1)
-            tell(events, {"type": "step", "step": step, "time": 0.1 * step})
+            tell(events, type="step", step=step, time=0.1 * step)
 
 
-def evaluate(run: Path) -> None:
+def setup() -> dict:
+    if "refuse" in HOW:
+        refuse("no libtorch.so")
+    return {"cloak": "0.stub", "torch": "0.stub", "python": "3.11.0", "device": "CPU", "program": "x"}
+
+
+def rate(success: float) -> dict:
+    known = {"success": success, "ci95": [success - 0.05, success + 0.05], "n": 40, "n_conditional": 36}
+    return known | {"success_own": success / 2, "ci95_own": [0.1, 0.2]}
+
+
+def evaluate() -> dict:
     """The cloak hides the front alone; own clothing hides a tenth."""
-    first, last, step = map(int, given("--angles").split(":"))
+    run, (first, last, step) = Path(sys.argv[2]), map(int, given("--angles").split(":"))
     count(8)
-    rate = lambda success: (
-        {"success": success, "ci95": [success - 0.05, success + 0.05], "n": 40}
-        | {
-            "success_own": success / 2,
-            "ci95_own": [0.1, 0.2],
-            "n_conditional": 36,
-        }
-    )
     angles = {f"{a:g}": rate(1.0 if abs(a) <= 90 else 0.0) for a in range(first, last + 1, step)}
     shares = {"logo": 0.5, "clothing": 0.1, "grey": 0.2, "random": 0.3}
     told = {name: rate(share) for name, share in shares.items()} | {"by_angle": angles}
     summary = {"detectors": {"builtin": told}, "operating_points": {"builtin": 0.5}, "n": int(given("--most-images"))}
-    summary |= {"unseen": {"bodies": "--scene" not in " ".join(sys.argv), "backgrounds": True}}
+    summary |= {"unseen": {"bodies": not every("--scene"), "backgrounds": True}, "settings": {"threshold": 0.6}}
     (run / "evaluation").mkdir(exist_ok=True)
-    (run / "evaluation/summary.json").write_text(json.dumps(summary | {"settings": {"threshold": 0.6}}))
+    replace(run / "evaluation/summary.json", summary)
     (run / "evaluation/asked.json").write_text(json.dumps(sys.argv))
-    print(json.dumps(summary))
+    return summary
 
 
-def wear(people: Path, out: Path) -> None:
+def wear() -> dict:
     """Everybody of the list wears it and is seen no more; one is left out."""
-    rate = lambda success: {"success": success, "success_own": success / 2, "n": 2}
     seen = {"run": rate(1.0), "clothing": rate(0.0), "grey": rate(0.1), "random": rate(0.2)}
-    specs = [word.partition("=")[2] for word in sys.argv if word.startswith("--detector=")]
-    out.mkdir()
-    for number in range(len(json.loads(people.read_text())["images"])):
+    out = Path(given("--out"))
+    for number in range(len(json.loads(Path(given("--people")).read_text())["images"])):
         person = out / "pictures" / f"{number}.jpg-1"
         person.mkdir(parents=True)
         for name in ("after run.jpg", "before.jpg"):
             (person / name).touch()
-    (out / "sheet.jpg").touch()
-    left_out = {"hidden limbs": 1}
-    print(json.dumps({"detectors": dict.fromkeys(specs, seen), "people": 2, "left_out": left_out}))
+    return {"detectors": dict.fromkeys(every("--detector"), seen), "people": 2, "left_out": {"hidden limbs": 1}}
 
 
-def film(out: Path) -> None:
+def film() -> dict:
     """No pictures, but what was asked for."""
     count(8)
-    out.write_text(json.dumps(sys.argv))
-    print(json.dumps({"out": str(out)}))
+    Path(given("--out")).write_text(json.dumps(sys.argv))
+    return {"out": given("--out")}
 
 
-def look() -> None:
+def print_sheets() -> dict:
+    Path(given("--out")).mkdir()
+    return {"out": given("--out")}
+
+
+def report() -> dict:
+    Path(sys.argv[2], "report.html").write_text("<p>report</p>")
+    return {"report": "report.html"}
+
+
+def look() -> dict:
     """Somebody stands in the left half of every picture, and the cloak hides them."""
     for line in sys.stdin:
         asked = json.loads(line)
@@ -125,47 +123,41 @@ def look() -> None:
         with np.load(Path(asked["scene"]) / "bodies.npz") as arrays:
             asked["lowest"] = float(arrays["vertices"][..., 1].min())
         replace(folder / "asked.json", asked)
-        specs = [word.partition("=")[2] for word in sys.argv if word.startswith("--detector=")]
-        told = {"detectors": dict.fromkeys(specs, seen), "pictures": {"clothing": str(folder / "clothing.png")}}
-        replace(folder / "look.json", told | {"width": asked["width"], "height": asked["height"]})
+        told = {"detectors": dict.fromkeys(every("--detector"), seen), "width": asked["width"]}
+        pictures = {"clothing": str(folder / "clothing.png")}
+        replace(folder / "look.json", told | {"pictures": pictures, "height": asked["height"]})
+    return {}
 
 
-def replace(path: Path, record: dict) -> None:
-    """All or nothing, for somebody who looks while it is written."""
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(record))
-    os.replace(temporary, path)
-
-
-def sample(out: Path) -> None:
+def sample() -> dict:
     """A triangle pyramid in two poses."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 2, 0]], np.float32)
-    triangles = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]], np.int32)
+    out = Path(given("--out"))
     out.mkdir(parents=True)
     np.savez(
         out / "bodies.npz",
         vertices=np.stack([vertices, vertices * [1, 1.1, 1]]).astype(np.float32),
-        triangles=triangles,
+        triangles=np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]], np.int32),
         face_colors=np.full((1, 4, 3), 0.25, np.float32),
         region_chest=np.array([True, False, True, False]),
         names=np.array(["Ann", "Bob"]),
     )
-    record = {"format": "cloak scene", "version": 1, "name": "Sample"}
-    (out / "scene.json").write_text(json.dumps(record))
-    print(json.dumps({"out": str(out)}))
+    replace(out / "scene.json", {"format": "cloak scene", "version": 1, "name": "Sample"})
+    return {"out": str(out)}
 
 
-def heatmap(scene: Path, out: Path) -> None:
+def heatmap() -> dict:
     """Heat rises with the face's index."""
     count(8)
-    with np.load(scene / "bodies.npz") as arrays:
+    with np.load(Path(given("--scene")) / "bodies.npz") as arrays:
         faces = len(arrays["loop_total"])
-    np.save(out, np.arange(faces, dtype=np.float32))
-    print(json.dumps({"heat": str(out), "seen": faces - 1, "faces": faces}))
+    np.save(given("--out"), np.arange(faces, dtype=np.float32))
+    return {"heat": given("--out"), "seen": faces - 1, "faces": faces}
 
 
-def verify(spec: str) -> None:
+def verify() -> dict:
     """Everything works, and it reports from 0.25 on."""
+    spec = sys.argv[3]
     if "refuse" in HOW:
         refuse(f"{spec}: no such thing here")
     count(8)
@@ -173,100 +165,58 @@ def verify(spec: str) -> None:
     told = {"spec": spec, "operating_point": 0.25, "person_class": 0, "parity_scores": 3e-6, "failed": failed}
     if spec.startswith(("openvino:", "tflite:")) or "black-box" in HOW:
         told |= {"white_box": False, "operating_point_assumed": True, "parity_scores": None}
-    print(json.dumps(told))
-    sys.exit(1 if failed else 0)
+    return told
 
 
-def check(spec: str, image: Path) -> None:
+def check() -> dict:
     """Somebody is seen wherever there is no cloak."""
+    image = Path(given("--image"))
     assert image.read_bytes().startswith(b"\x89PNG"), image
-    found = 0.1 if image.name.startswith("cloak") else 0.9
-    point = float(spec.partition("conf=")[2] or 0.5)
-    print(json.dumps({"max_person": found, "operating_point": point, "boxes": []}))
+    point = float(sys.argv[3].partition("conf=")[2] or 0.5)
+    return {"max_person": 0.1 if image.name.startswith("cloak") else 0.9, "operating_point": point, "boxes": []}
 
 
-def train(words: list[str]) -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("command", choices=["train"])
-    for name in (
-        "scene",
-        "logo",
-        "backgrounds",
-        "angles",
-        "preset",
-        "device",
-        "out",
-        "config",
-        "made-from",
-        "init",
-    ):
-        parser.add_argument(f"--{name}")
-    parser.add_argument("--detector", action="append")
-    parser.add_argument("--steps", type=int, default=20)
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--resume", action="store_true")
-    options = parser.parse_args(words)
-    run = Path(options.out)
-    if run.exists() and not options.resume:
+TRAIN = {"scene", "logo", "backgrounds", "angles", "preset", "device", "out", "config", "made-from", "init"}
+TRAIN |= {"detector", "steps", "json", "resume"}
+
+
+def train() -> dict:
+    unknown = [word for word in sys.argv[2:] if word.startswith("--") and word[2:].partition("=")[0] not in TRAIN]
+    run, resume, steps = Path(given("--out")), "--resume" in sys.argv, int((every("--steps") or ["20"])[0])
+    assert not unknown, unknown
+    if run.exists() and not resume:
         refuse(f"{run}: exists already")
     if "refuse" in HOW:
         refuse("--detector builtin: no such thing here")
     if "crash" in HOW:
         raise RuntimeError("a defect")
-    ids = np.load(options.logo)
+    ids = np.load(given("--logo"))
     run.mkdir(exist_ok=True)
     np.save(run / "logo.npy", ids)
-    (run / "logo.json").write_text(Path(options.logo).with_suffix(".json").read_text())
-    (run / "config.json").write_text(
-        json.dumps({"format": "cloak run", "detectors": [{"spec": spec} for spec in options.detector]})
-    )
+    (run / "logo.json").write_text(Path(given("--logo")).with_suffix(".json").read_text())
+    replace(run / "config.json", {"format": "cloak run", "detectors": [{"spec": s} for s in every("--detector")]})
     (run / "cancel").unlink(missing_ok=True)
     held = (run / ".lock").open("a")
     fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     memory = run / "step.txt"
-    first = int(memory.read_text()) if options.resume and memory.exists() else 0
-    stopped = None
+    first = int(memory.read_text()) if resume and memory.exists() else 0
+    outcome = "done"
     with (run / "events.jsonl").open("a") as events:
-        tell(events, {"type": "resume" if first else "start", "step": first, "time": 0.0, "steps": options.steps})
-        for step in range(first + 1, options.steps + 1):
-            write_red(run, len(ids))
-            remember(memory, step)
-            tell(events, {"type": "step", "step": step, "time": 0.1 * step, "loss": 1 / step, "success": step / 100})
+        tell(events, type="resume" if first else "start", step=first, time=0.0, steps=steps)
+        for step in range(first + 1, steps + 1):
+            np.save(run / ".colors.npy", np.tile(np.float32([1, 0, 0]), (len(ids), 1)))
+            os.replace(run / ".colors.npy", run / "colors.npy")
+            replace(memory, step)
+            tell(events, type="step", step=step, time=0.1 * step, loss=1 / step, success=step / 100)
             misbehave(events, step)
             if (run / "cancel").exists():
-                stopped = f"stopped at step {step}: cancel file"
+                outcome = "stopped"
                 break
-        tell(events, {"type": "end", "step": step, "time": 0.1 * step, "outcome": "stopped" if stopped else "done"})
-    print(json.dumps({"out": str(run), "step": step, **({"stopped": stopped} if stopped else {})}))
-    sys.exit(3 if stopped else 0)
-
-
-def refuse(message: str) -> None:
-    print(f"cloak: {message}", file=sys.stderr)
-    sys.exit(2)
-
-
-def write_red(run: Path, count: int) -> None:
-    temporary = run / ".colors.npy"
-    np.save(temporary, np.tile(np.float32([1, 0, 0]), (count, 1)))
-    os.replace(temporary, run / "colors.npy")
-
-
-def remember(memory: Path, step: int) -> None:
-    """All or nothing, as the real trainer writes: it may be killed at any moment."""
-    temporary = memory.with_name(".step.txt")
-    temporary.write_text(str(step))
-    os.replace(temporary, memory)
-
-
-def tell(events, event: dict) -> None:
-    events.write(json.dumps(event) + "\n")
-    events.flush()
+        tell(events, type="end", step=step, time=0.1 * step, outcome=outcome)
+    return {"out": str(run), "step": step, "stopped": outcome == "stopped"}
 
 
 def misbehave(events, step: int) -> None:
-    if "slow" in HOW:
-        time.sleep(0.1)
     if "broken" in HOW:
         events.write('{"type": "step", "step"\n[1, 2]\n\xff\xfe\n{"type": "step", "step": NaN, "loss": "x"}\n')
         events.write('{"type": "step", "step": 1, "loss": Infinity, "success": true, "time": null}\n')
@@ -275,4 +225,8 @@ def misbehave(events, step: int) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-main()
+COMMANDS = {"scene": sample, "logo": heatmap, "print": print_sheets, "detectors": check}
+COMMANDS |= {f.__name__: f for f in (setup, evaluate, wear, film, look, report, train)}
+answer = verify() if sys.argv[2:3] == ["verify"] else COMMANDS[sys.argv[1]]()
+print(json.dumps(answer))
+sys.exit(1 if answer.get("failed") else 3 if answer.get("stopped") else 0)
