@@ -22,7 +22,7 @@ from .ui import drawing
 
 WITH_CLASSES = (
     *("trainer.operators", "body.operators", "logo.operators", "logo.paint"),
-    *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.try_it"),
+    *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.judging"),
     "result.cloths",
     *("trainer.panel", "body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel"),
 )

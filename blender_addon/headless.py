@@ -26,10 +26,8 @@ from .files.writing import written
 from .poses.export import export, read_export
 from .poses.poses import PoseChoice, held
 from .result import render_check
-from .trainer import command_lines
-from .trainer.command_lines import allow, cloak_command, sample_words
+from .trainer import program as trainer
 from .trainer.jobs import Job, TrainingJob
-from .trainer.program import find_program
 from .training import runs
 
 PRINT_SECONDS = 2.0
@@ -111,7 +109,9 @@ def find_body(options: argparse.Namespace, program: str, folder: Path) -> bpy.ty
     if options.sample or options.scene:
         scene = options.scene or folder / "sample"
         if not options.scene:
-            job = Job("Sample body", [cloak_command(program, *sample_words(scene))], folder, "sample").wait()
+            job = Job(
+                "Sample body", [trainer.cloak_command(program, *trainer.sample_words(scene))], folder, "sample"
+            ).wait()
             if job.state != "done":
                 raise InputError(job.message)
         obj = add_from_scene(bpy.context, read_scene(scene))
@@ -162,7 +162,7 @@ def main(arguments: list[str]) -> None:
             why = str(error).strip()
             raise InputError(f"--blend {options.blend}: not a file that Blender can open ({why})") from None
     marks.mark_former()  # of a file that was open before the add-on was
-    program = find_program(options.trainer)
+    program = trainer.find_program(options.trainer)
     obj = find_body(options, program, Path(bpy.app.tempdir))
     logo = options.logo
     if logo.endswith(".npy"):
@@ -187,18 +187,18 @@ def main(arguments: list[str]) -> None:
 def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program: str, run: Path) -> None:
     """Export and train, with progress on standard output."""
     given = {name: getattr(options, name) for name in PASSED_ON}
-    detector = command_lines.absolute_detector(given.pop("detector"))
+    detector = trainer.absolute_detector(given.pop("detector"))
     for name in ("backgrounds", "config"):  # the trainer works in a folder of its own
         if Path(given[name]).exists() and given[name]:
             given[name] = Path(given[name]).absolute()
-    folder, words = runs.input_folder(run), command_lines.options([detector], **given)
-    allow(words)
+    folder, words = runs.input_folder(run), trainer.options([detector], **given)
+    trainer.allow(words)
     words += ["--made-from=sample:train"] if options.sample else []
     words += [f"--init={options.init.absolute()}"] if options.init else []
     if options.resume and folder.is_dir():
         done, begun = read_export(folder), runs.remembered_options(run)
         runs.require_same_topology(obj, done.topology)
-        if kept := command_lines.differing_options(begun, words):
+        if kept := trainer.differing_options(begun, words):
             say(f"--resume keeps what the run was started with: {kept}")
         words = begun
     else:
@@ -207,7 +207,7 @@ def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program
         done = export(bpy.context, obj, logo, pose_choice(options), folder)
         runs.remember_options(run, words)
     say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")
-    command = command_lines.train_command(program, words, done.scene, done.face_list, run)
+    command = trainer.train_command(program, words, done.scene, done.face_list, run)
     job = TrainingJob(command + (["--resume"] if options.resume else []), run, folder).start()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: job.cancel())

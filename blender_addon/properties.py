@@ -15,7 +15,7 @@ from .files.errors import InputError
 from .poses.poses import PoseChoice
 from .result.evaluations import CloakJudging
 from .session import session
-from .trainer.command_lines import options
+from .trainer.program import options
 from .training.detectors import CloakDetector, existing, trained_against
 from .ui import props
 from .ui.window import Hooks

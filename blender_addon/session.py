@@ -21,7 +21,7 @@ class Session:
     jobs: list[Any] = field(default_factory=list)
     """Of `trainer/jobs.py`, as they were asked for: in each lane at most one runs; of each kind the last that ended."""
     allowed: set[str] = field(default_factory=set)
-    """Hashes of what the user let run: see `trainer/command_lines.py`."""
+    """Hashes of what the user let run: see `trainer/program.py`."""
     eye: Any = None  # the detector's eye that is open
     eye_closed_because: str = ""  # error that closed the last eye; "" if there was none
     runs: dict[str, Any] = field(default_factory=dict)

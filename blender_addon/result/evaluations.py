@@ -15,7 +15,7 @@ from ..blender.blend_paths import absolute
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..poses.poses import PoseChoice
-from ..trainer.command_lines import SAMPLES
+from ..trainer.program import SAMPLES
 from ..trainer.progress import finite
 from ..ui import props
 

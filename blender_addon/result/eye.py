@@ -27,10 +27,9 @@ from ..files.identity import sha256_arrays
 from ..files.reading import read_json
 from ..poses.poses import PoseChoice
 from ..session import session
-from ..trainer.command_lines import cloak_command, options
 from ..trainer.jobs import last_words
 from ..trainer.preferences import trainer
-from ..trainer.program import start_process
+from ..trainer.program import cloak_command, options, start_process
 from ..training.detectors import judges
 from ..training.runs import is_cloth, run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write

@@ -20,9 +20,8 @@ import bpy
 from ..files.errors import InputError
 from ..session import session
 from ..ui.window import between_strokes, notify, redraw
-from .command_lines import cloak_command
 from .preferences import trainer
-from .program import start_process
+from .program import cloak_command, start_process
 from .progress import Progress, duration, read_events
 
 TICK_SECONDS = 0.25

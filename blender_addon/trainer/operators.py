@@ -9,10 +9,9 @@ from ..files.errors import InputError
 from ..files.specs import reach
 from ..ui import props
 from ..ui.operator import CloakOperator
-from .command_lines import allow, cloak_command
 from .jobs import Job, last_words, launch
 from .preferences import preferences, trainer, user_folder
-from .program import install_line
+from .program import allow, cloak_command, install_line
 
 
 class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer"):

@@ -13,9 +13,9 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
-from ..trainer.command_lines import allow, cloak_command
 from ..trainer.jobs import Job, launch, waits
 from ..trainer.preferences import trainer, user_folder
+from ..trainer.program import allow, cloak_command
 from ..trainer.progress import finite
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator, push_undo

@@ -13,9 +13,9 @@ from ..files.errors import InputError
 from ..poses.export import export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_options
 from ..session import session
-from ..trainer.command_lines import differing_options, require, train_command
 from ..trainer.jobs import Job, TrainingJob, launch, waits
 from ..trainer.preferences import trainer
+from ..trainer.program import differing_options, require, train_command
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator
 from . import run_list, runs

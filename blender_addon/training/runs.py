@@ -33,8 +33,8 @@ from ..files.reading import read_json
 from ..files.writing import write_json
 from ..poses.export import RECORD, Export, read_export
 from ..session import session
-from ..trainer.command_lines import known_options
 from ..trainer.jobs import Job
+from ..trainer.program import known_options
 from ..ui.operator import push_undo
 
 

@@ -8,8 +8,8 @@ import bpy
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
 from ..session import session
-from ..trainer.command_lines import Unasked
 from ..trainer.preferences import trainer_reason
+from ..trainer.program import Unasked
 from ..translations import said
 from .window import in_window, progress_cursor
 

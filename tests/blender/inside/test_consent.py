@@ -7,7 +7,7 @@ import bpy
 import pytest
 from cloak.files.errors import InputError
 from cloak.session import session
-from cloak.trainer import command_lines
+from cloak.trainer import program
 from cloak.training import runs
 from conftest import run_job
 from test_runs import cancelled_run, choose
@@ -43,7 +43,7 @@ def starts(operator: str) -> bool:
 def test_detectors_of_a_file_wait_for_a_yes(ready, evil, tmp_path, operator, spec):
     from_file(spec.format(evil=evil))
     assert not starts(operator) and not list(tmp_path.rglob("*.input"))
-    command_lines.allow([spec.format(evil=evil)])
+    program.allow([spec.format(evil=evil)])
     assert starts(operator)
 
 
@@ -61,10 +61,10 @@ def test_a_yes_is_for_this_code(ready, evil):
     bpy.ops.cloak.allow(specs=f"python:{evil}:load@640", then="CLOAK_OT_detector_check")
     assert session.job.label == "Detector check"
     bpy.context.scene.cloak.detectors[0].threshold = 0.4
-    command_lines.require([f"--detector={bpy.context.scene.cloak.detectors[0].full}"])
+    program.require([f"--detector={bpy.context.scene.cloak.detectors[0].full}"])
     evil.write_text("load = 2\n")
-    with pytest.raises(command_lines.Unasked, match="runs code, and waits for your yes"):
-        command_lines.require([f"--detector=python:{evil}:load"])
+    with pytest.raises(program.Unasked, match="runs code, and waits for your yes"):
+        program.require([f"--detector=python:{evil}:load"])
 
 
 def test_what_the_user_chooses_is_named_by_the_user(ready, evil):
@@ -82,7 +82,7 @@ def test_resume_runs_no_word_of_the_folder(ready, evil, monkeypatch, spec):
     path.write_text(json.dumps(record | {"options": [*record["options"], f"--detector={spec}"]}))
     choose(run.name)
     assert not starts("train_resume")
-    command_lines.allow([spec])
+    program.allow([spec])
     assert starts("train_resume")
 
 

@@ -44,8 +44,8 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     from cloak.files.reading import read_npy
     from cloak.poses.export import export_bodies
     from cloak.poses.poses import PoseChoice
-    from cloak.trainer.command_lines import allow, cloak_command, options, sample_words
     from cloak.trainer.jobs import Job
+    from cloak.trainer.program import allow, cloak_command, options, sample_words
 
     python = str(real_trainer)
 

@@ -15,7 +15,7 @@ from cloak.logo import operators as heat
 from cloak.logo import overlay
 from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
-from cloak.result.operators import check_reason
+from cloak.result.judging import check_reason
 from cloak.training import runs
 
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]], np.int32)

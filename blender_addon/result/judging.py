@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 5 that judge a cloak: render check, evaluation, the detector's eye, people; and Try It."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..blender import colors
+from ..blender.blend_paths import absolute, first_free
+from ..blender.pictures import new_image, read_picture
+from ..body.garments import is_dressed
+from ..body.objects import active_body, object_of, of_the_body, refusal
+from ..files.errors import InputError
+from ..files.writing import write_json, written
+from ..poses.export import poses_reason
+from ..poses.poses import PoseChoice
+from ..session import session
+from ..trainer.jobs import Job, launch, run_cloak, waits
+from ..trainer.preferences import trainer
+from ..trainer.program import cloak_command, options, require
+from ..training import run_list, runs
+from ..training.detectors import judges
+from ..training.runs import run_of, side_folder
+from ..translations import said
+from ..ui.operator import CloakOperator
+from ..ui.window import areas, main_region, redraw, show_image, tell_status
+from . import eye, render_check
+from .evaluations import kept_back, read_evaluation
+from .reasons import ANSWER, WEAR, export_worn, foreign_reason, judged_reason, people_file, result_reason
+from .render_check import last_verdicts
+
+
+@of_the_body
+def check_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the cloak cannot be checked in Cycles."""
+    if not is_dressed(obj):
+        return f"'{obj.name}' shows its own materials: switch the cloak on first"
+    return judged_reason(context) or refusal(judges, context.scene.cloak)
+
+
+class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason, trains=True):
+    """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, settings = active_body(context), context.scene.cloak
+        folder = first_free(side_folder(run_of(obj)), render_check.NAME)
+        with written(folder):
+            folder.mkdir(parents=True)
+        specs, program = judges(settings), trainer()
+        angles = tuple(range(settings.angle_first, settings.angle_last + 1, settings.angle_step))
+        plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
+        images = render_check.image_paths(plan)
+        check = lambda spec, image: cloak_command(program, "detectors", "check", spec, "--image", image)
+        commands = [render_check.prepare(plan), *(check(spec, image) for spec in specs for image in images)]
+        uid = obj.session_uid
+        job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, specs, uid)))
+        return f"Rendering {len(images)} images into {folder}" + waits(job)
+
+
+def _judge(job: Job, plan: render_check.Plan, specs: tuple[str, ...], uid: int) -> str | None:
+    if job.state != "done":
+        return None
+    found, obj = render_check.verdicts(plan, specs, job.outputs[1:]), object_of(uid)
+    job.is_bad_news = not all(verdict.holds for verdict in found)
+    if obj is not None:
+        obj.cloak.verdict = render_check.describe_all(found)
+    run_list.refresh(bpy.context)
+    return render_check.describe_all(found)
+
+
+AROUND = 180  # an evaluation all around goes this many degrees to either side
+BARE = 256  # most empty backgrounds that are checked for false alarms
+
+
+def evaluate_reason(context: bpy.types.Context) -> str:
+    """Why the body's run cannot be evaluated."""
+    judging = context.scene.cloak.judging
+    reason = judged_reason(context) or (poses_reason(context, judging.frames) if judging.frames else "")
+    folder = absolute(judging.backgrounds)
+    return reason or ("" if not folder or Path(folder).is_dir() else f"Backgrounds folder {folder} does not exist")
+
+
+class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason, trains=True):
+    """Measure the run's colours on bodies, backgrounds and angles that training did not see, all around the body, \
+beside controls on the same images. The result is shown here and as a ring around the body"""
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, settings = active_body(context), context.scene.cloak
+        run, judging = run_of(obj), settings.judging
+        azimuths = len(range(-AROUND, AROUND, judging.angle))
+        angles = f"{-AROUND}:{-AROUND + (azimuths - 1) * judging.angle}:{judging.angle}"
+        bare, device = min(BARE, judging.images), settings.device
+        words = ["evaluate", run, *options(judges(settings), angles=angles, bare=bare, device=device)]
+        # One pose must do for all the images; of more poses some are drawn.
+        words += [f"--images-per-view={math.ceil(judging.images / azimuths)}", f"--most-images={judging.images}"]
+        words.append(judging.backgrounds_option)
+        folder = side_folder(run)
+        if judging.frames:
+            scene = folder / "evaluation scene"
+            export_worn(context, obj, run, judging.frames, scene)
+            words.append(f"--scene={scene}")
+        elif not kept_back(run) and runs.exported_scene(run):
+            words.append(f"--scene={runs.exported_scene(run)}")
+        ended = lambda job: _evaluated(job, run)
+        return f"Evaluating {run.name}" + run_cloak("Evaluation", words, folder, "evaluate", ended, True)
+
+
+def _evaluated(job: Job, run: Path) -> str | None:
+    found = read_evaluation(run)
+    run_list.refresh(bpy.context)
+    if found is None:
+        return None
+    rates = [judged.rates for judged in found.detectors]
+    job.is_bad_news = any((rate["logo"][0].value or 0) <= (rate["clothing"][0].value or 0) for rate in rates)
+    outcome = "The cloak hides no more than own clothing does" if job.is_bad_news else "Evaluation done"
+    return f"{outcome}: {found.describe()}"
+
+
+class CLOAK_OT_eye(CloakOperator, label="Detector's Eye", trains=True):
+    """Let the detector look at the body from where you look, or the camera, and draw what it sees over the viewport. \
+It goes on looking as you move, and while a training runs, until this is pressed again"""
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return "" if session.eye else poses_reason(context, PoseChoice()) or refusal(judges, context.scene.cloak)
+
+    def run(self, context: bpy.types.Context) -> str:
+        if session.eye is not None:
+            eye.close_eye()
+            redraw()
+            return "The detector looks no more"
+        folder = Path(bpy.app.tempdir, "cloak eye")
+        folder.mkdir(parents=True, exist_ok=True)
+        in_viewport = context.area is not None and context.area.type == "VIEW_3D"
+        region = main_region(context.area).as_pointer() if in_viewport else 0
+        session.eye, session.eye_closed_because = eye.Eye(active_body(context), context.scene.cloak, folder, region), ""
+        if not bpy.app.background:
+            bpy.app.timers.register(eye.tick)
+        return f"{', '.join(session.eye.specs)}: getting ready to look"
+
+
+class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
+    """Lay the run's colours onto the people of photographs, and let the detectors judge them before and after"""
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        settings = context.scene.cloak
+        reason = result_reason(context) or refusal(people_file, settings.judging.people)
+        return reason or refusal(judges, settings) or foreign_reason(active_body(context))
+
+    def run(self, context: bpy.types.Context) -> str:
+        settings, run = context.scene.cloak, run_of(active_body(context))
+        people, place = people_file(settings.judging.people), first_free(side_folder(run), WEAR)
+        words = ["wear", run, *options(judges(settings), people=people, device=settings.device), "--out", place]
+
+        def ended(job: Job) -> str:
+            try:
+                record = json.loads(job.outputs[-1])
+                count = int(record["people"])
+            except (ValueError, KeyError, TypeError):
+                raise InputError("Wear: the trainer's answer is not understood; see wear.log") from None
+            place.mkdir(exist_ok=True)
+            write_json(place / ANSWER, record)
+            return f"{count} people wear it"
+
+        waiting = run_cloak("Wear", words, side_folder(run), "wear", ended)
+        return f"{run.name} is put on by the people of {people.name}{waiting}"
+
+
+# --- Try It: one button from an empty file to a picture before and after; the status bar says how far it is ----------
+
+STEPS = 100
+PICTURE = "{:.2f} before, {:.2f} after: scores, reported from {:g}"  # its beginning is seen in the editor's header
+
+
+class CLOAK_OT_try_it(CloakOperator, label="Try It", trains=True):
+    """Add the sample body, train its front for a short while against the built-in detector, and render it with the \
+cloak and without, for the detector to judge. Takes some minutes; Blender stays usable"""
+
+    def run(self, context: bpy.types.Context) -> str:
+        require(options(judges(context.scene.cloak)))
+        bpy.ops.cloak.add_sample_body()
+        _then("Sample body", _train)
+        return "Sample body, short training, check: the status bar shows how far it is"
+
+
+def _then(label: str, following: Callable[[], None]) -> None:
+    """Let a step follow when the job of this label has ended well; until then the status bar shows it."""
+    job = session.job_of(label)
+    end, tick = job.on_end, job.on_tick
+
+    def ticked(job: Job) -> None:
+        if job.active:
+            tell_status(f"{label}: {said(job.describe())}")
+        if tick is not None:
+            tick(job)
+
+    def ended(job: Job) -> str | None:
+        tell_status("")
+        message = end(job) if end is not None else None
+        if job.state == "done":
+            following()
+        return message
+
+    job.on_end, job.on_tick = ended, ticked
+
+
+def _train() -> None:
+    settings = bpy.context.scene.cloak
+    settings.steps, settings.pose_source = STEPS, "CURRENT"
+    settings.angle_first, settings.angle_last, settings.angle_step = -10, 10, 20  # degrees
+    active_body(bpy.context).cloak.logo = "front"  # the chest alone hides nobody in so few steps
+    bpy.ops.cloak.train_start()
+    _then("Training", _check)
+
+
+def _check() -> None:
+    """Show the cloak as the detector saw it, and let the detector judge renders of it."""
+    colors.use_standard_view(bpy.context.scene)
+    for _, area in areas("VIEW_3D"):
+        area.spaces.active.shading.light = "FLAT"
+    active_body(bpy.context).select_set(False)  # its outline would hide the cloak
+    bpy.ops.cloak.render_check()
+    _then("Render check", _compare)
+
+
+def _compare() -> None:
+    """Show the first render without the cloak, and beside it the one with it; its name has the scores."""
+    verdict = last_verdicts(side_folder(run_of(active_body(bpy.context))))[0]
+    shown = (len(verdict.images) // 2, 0)
+    title = PICTURE.format(*(verdict.scores[number] for number in shown), verdict.threshold)
+    image = new_image(title, np.concatenate([read_picture(verdict.images[n])[..., :3] for n in shown], axis=1))
+    image.pack()
+    show_image(image)
