@@ -7,7 +7,6 @@ a new folder.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import io
 import tempfile
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import get_args, get_origin
 
 from cloak_core import cli
-from cloak_core.commands.help import POSITIONAL, annotations_of, flag_name
+from cloak_core.commands.help import options_of
 
 RUNS_BARE = (
     *("demo", "setup", "zoo list", "version", "detectors list", "zoo reproduce"),
@@ -94,7 +93,7 @@ def lines(name: str) -> Iterator[tuple[str, str]]:
     """Yield kind and line of each mistake."""
     cls = cli.load(name)
     example = f"{name} {cls.example}".split(" -- ")[0].strip()
-    options = dict(named_options(cls))
+    options = {option.flag: option.kind for option in options_of(cls) if not option.is_positional}
     valued = [flag for flag, kind in options.items() if kind is not bool]
     numbers = [flag for flag in valued if {int, float} & {options[flag], *get_args(options[flag])}]
     if name not in RUNS_BARE:
@@ -107,20 +106,11 @@ def lines(name: str) -> Iterator[tuple[str, str]]:
         yield "text for a number", f"{example} {numbers[0]} many"
     yield "option that does not exist", f"{example} --colour red"
     yield "a value for a switch", f"{example} --json=yes"
-    if not any(POSITIONAL in extras and get_origin(kind) is tuple for _, kind, extras in annotations_of(cls)):
+    if not any(option.is_positional and get_origin(option.kind) is tuple for option in options_of(cls)):
         yield "a word too many", f"{example} surplus"
     if reads := READS[name]:
         yield "missing file", f"{name} {reads.format('absent.npz')}"
         yield "file of another kind", f"{name} {reads.format('notes.txt')}"
-
-
-def named_options(cls: type) -> Iterator[tuple[str, object]]:
-    """Yield the options of a command as they are typed, each with its type."""
-    for field, kind, extras in annotations_of(cls):
-        if dataclasses.is_dataclass(kind) and not hasattr(kind, "metavar"):
-            yield from named_options(kind)
-        elif POSITIONAL not in extras:
-            yield flag_name(field, extras), kind
 
 
 def swapped(word: str) -> str:

@@ -7,13 +7,12 @@ import io
 import re
 import types
 import typing
-from collections.abc import Iterable
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from cloak_core.commands.base import Command
-from cloak_core.commands.help import FOUR_DEEP, flags, missing, one_command, usage
+from cloak_core.commands.help import flags, one_command, options_of, usage
 from cloak_core.core.settings.values import Parsable
 from cloak_core.files.errors import InputError, suggestion
 
@@ -59,22 +58,23 @@ def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
 
 def _refusal(cls: type[Command], name: str, boxed: str, arguments: list[str]) -> str:
     """Say why tyro refused, on one line; with the usage where something is missing."""
-    needs = missing(cls, boxed)
     _, _, unknown = boxed.partition("Unrecognized options:")
     known = flags(cls)
-    strange_flags = [word for word in map(_flag, arguments) if word.startswith("--") and word not in known]
-    if strange_flags and unknown:
-        return _unknown_flag(strange_flags[0], known)
-    words = [word for word in FOUR_DEEP.findall(unknown) if not word.startswith("cloak ")]
+    strange = [word for word in map(_flag, arguments) if word.startswith("--") and word not in known]
+    if strange and unknown:
+        # Compared without dashes, which all have in common.
+        meant = suggestion(strange[0].lstrip("-"), [flag.lstrip("-") for flag in known], 0.6)
+        return f"unknown option {strange[0]}{meant.replace('mean ', 'mean --')}"
+    needs, words = _missing(cls, boxed), [word for word in FOUR_DEEP.findall(unknown) if not word.startswith("cloak ")]
     if value := re.search(r"Missing value for argument '(\w+)'", boxed):
         # tyro says this of what stands without a name when the first word is an option it does not know.
         needs, words = [value[1].upper()], arguments[:1]
-    if not needs:
-        valued = re.search(r"Unrecognized options: (.*?)\s*[│|]?$", boxed, re.MULTILINE)
-        switch = next((word for word in arguments if valued and word.endswith(f"={valued[1]}")), None)
-        return f"{_flag(switch)}: a switch, which takes no value" if switch else _one_line(boxed)
-    strange = f"unknown: {' '.join(words)}; " if words else ""
-    return f"{strange}needs {', '.join(needs)}; usage: {usage(cls, name)}"
+    if needs:
+        said = f"unknown: {' '.join(words)}; " if words else ""
+        return f"{said}needs {', '.join(needs)}; usage: {usage(cls, name)}"
+    valued = re.search(r"Unrecognized options: (.*?)\s*[│|]?$", boxed, re.MULTILINE)
+    switch = next((word for word in arguments if valued and word.endswith(f"={valued[1]}")), None)
+    return f"{_flag(switch)}: a switch, which takes no value" if switch else _one_line(boxed)
 
 
 def _flag(argument: str) -> str:
@@ -82,10 +82,12 @@ def _flag(argument: str) -> str:
     return argument.partition("=")[0].replace("_", "-")
 
 
-def _unknown_flag(flag: str, known: Iterable[str]) -> str:
-    # Compared without dashes, which all have in common.
-    meant = suggestion(flag.lstrip("-"), [name.lstrip("-") for name in known], 0.6)
-    return f"unknown option {flag}{meant.replace('mean ', 'mean --')}"
+def _missing(cls: type[Command], boxed: str) -> list[str]:
+    """List the names of what tyro says is missing."""
+    found = FOUR_DEEP.findall(boxed.partition("Missing from")[2].partition("Unrecognized")[0])
+    words = [line for line in found if not line.startswith(("--", "cloak "))]
+    positional = [option.flag for option in options_of(cls) if option.is_positional and option.is_needed]
+    return positional[: len(words)] + [line.split()[0] for line in found if line.startswith("--")]
 
 
 def _one_line(boxed: str) -> str:
@@ -99,12 +101,24 @@ def _one_line(boxed: str) -> str:
         if line.strip("─-"):
             kept.append(line)
     words = " ".join(kept).removeprefix("Value error ").removeprefix("Error parsing ")
-    for form, worded in ((_CHOICE, _choice_words), *_PYTHON.items()):
+    for form, worded in _WORDED.items():
         words = re.sub(form, worded, words)
     return words or "not understood"
 
 
-_PYTHON = {
+def _choice_words(found: re.Match) -> str:
+    """Word a wrong choice as settings do; tyro has the choices in the order of a set."""
+    known = sorted(found[3].rstrip(",").replace("'", "").split(", "))
+    named = found[2] if found[2].startswith("--") else found[2].upper()
+    return f"{named}: {found[1]} is not one of {', '.join(known)}"
+
+
+FOUR_DEEP = re.compile(r"^[│| ] {5}(\S.*?)\s*[│|]?\s*$", re.MULTILINE)
+"""In tyro's box, whose frame may be blanks: names; their explanations stand deeper."""
+
+
+_WORDED = {
+    r"(?:Invalid choice )?invalid choice ('.*') for argument '(\S+)'\. Expected one of \((.*)\)\.": _choice_words,
     r"no type matching \S*INT could be instantiated from \[('.*?')\].*": r"\1 is not a whole number",
     r"no type matching \S*FLOAT could be instantiated from \[('.*?')\].*": r"\1 is not a number",
     r"invalid literal for int\(\) with base 10: ('.*')": r"\1 is not a whole number",
@@ -114,13 +128,3 @@ _PYTHON = {
     r"^Unrecognized options Unrecognized options: (.*)": r"not understood: \1",
 }
 """What Python and tyro say of a value -> what it means to people."""
-
-
-_CHOICE = r"(?:Invalid choice )?invalid choice ('.*') for argument '(\S+)'\. Expected one of \((.*)\)\."
-
-
-def _choice_words(found: re.Match) -> str:
-    """Word a wrong choice as settings do; tyro has the choices in the order of a set."""
-    known = sorted(found[3].rstrip(",").replace("'", "").split(", "))
-    named = found[2] if found[2].startswith("--") else found[2].upper()
-    return f"{named}: {found[1]} is not one of {', '.join(known)}"
