@@ -13,9 +13,9 @@ import sys
 from collections.abc import Iterable
 
 from cloak_core import __version__
-from cloak_core.commands.base import RANK, Command, Stopped, err, next_words, out, warn
+from cloak_core.commands.base import RANK, Command, err, next_words, out, warn
 from cloak_core.commands.streams import kept_for_json, prepare_streams, saying
-from cloak_core.files.errors import InputError, first_line, one_line, suggestion
+from cloak_core.files.errors import InputError, Stopped, first_line, one_line, suggestion
 
 GROUPS: dict[str, dict[str, str]] = {
     "Start": {

@@ -59,16 +59,17 @@ Known = dict[str, tuple[str, dict[str, str]]]
 
 def _bash(known: Known, shell: str) -> Iterator[str]:
     """Yield the lines of a completion function; zsh runs it through its bashcompinit."""
+    words = _tree(known)
     if shell == "zsh":
         yield "autoload -U +X compinit && compinit; autoload -U +X bashcompinit && bashcompinit"
     yield "_cloak() {"
     yield '  local current="${COMP_WORDS[COMP_CWORD]}" first="${COMP_WORDS[1]}" second="${COMP_WORDS[2]}" words=""'
     yield '  if [ "$COMP_CWORD" -eq 1 ]; then'
-    yield f'    words="{" ".join(_first_words(known))}"'
+    yield f'    words="{" ".join(words)}"'
     yield '  elif [ "$COMP_CWORD" -eq 2 ] && [[ "$current" != -* ]]; then'
     yield '    case "$first" in'
-    for group, inner in _groups(known).items():
-        yield f'      {group}) words="{" ".join(inner)}" ;;'
+    for first, inner in words.items():
+        yield f'      {first}) words="{" ".join(filter(None, inner))}" ;;'
     yield "    esac"
     yield "  fi"
     yield '  if [[ "$current" == -* ]]; then'
@@ -84,33 +85,25 @@ def _bash(known: Known, shell: str) -> Iterator[str]:
 
 
 def _fish(known: Known) -> Iterator[str]:
-    for word, about in _first_words(known).items():
-        yield f"complete -c cloak -n __fish_use_subcommand -f -a {word} -d {_quoted(about)}"
-    for group, inner in _groups(known).items():
-        there = f"__fish_seen_subcommand_from {group}; and not __fish_seen_subcommand_from {' '.join(inner)}"
-        for word, about in inner.items():
-            yield f"complete -c cloak -n '{there}' -f -a {word} -d {_quoted(about)}"
+    for first, inner in _tree(known).items():
+        yield f"complete -c cloak -n __fish_use_subcommand -f -a {first} -d {_quoted(inner.get('', f'{first} ...'))}"
+        more = {second: about for second, about in inner.items() if second}
+        there = f"__fish_seen_subcommand_from {first}; and not __fish_seen_subcommand_from {' '.join(more)}"
+        for second, about in more.items():
+            yield f"complete -c cloak -n '{there}' -f -a {second} -d {_quoted(about)}"
     for name, (_, options) in known.items():
         there = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in name.split())
         for flag, about in options.items():
             yield f"complete -c cloak -n '{there}' -l {flag.removeprefix('--')} -d {_quoted(about)}"
 
 
-def _first_words(known: Known) -> dict[str, str]:
-    words = {"help": "Show what a command does and takes"}
+def _tree(known: Known) -> dict[str, dict[str, str]]:
+    """Sort commands by their first words: each has its second words ("" for none), and what they do."""
+    words: dict[str, dict[str, str]] = {"help": {"": "Show what a command does and takes"}}
     for name, (about, _) in known.items():
         first, _, second = name.partition(" ")
-        words.setdefault(first, f"{first} ..." if second else about)
+        words.setdefault(first, {})[second] = about
     return words
-
-
-def _groups(known: Known) -> dict[str, dict[str, str]]:
-    groups: dict[str, dict[str, str]] = {}
-    for name, (about, _) in known.items():
-        first, _, second = name.partition(" ")
-        if second:
-            groups.setdefault(first, {})[second] = about
-    return groups
 
 
 def _quoted(text: str) -> str:

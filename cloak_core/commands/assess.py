@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,14 +15,11 @@ from cloak_core.commands.sharing import Sharing
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from cloak_core.core.detector.protocol import Detector
     from cloak_core.sources.photographs.people import People
     from cloak_core.studies.card.assess import Assessment
     from cloak_core.studies.card.gate import Bound
     from cloak_core.studies.card.protocol import Size
-    from cloak_core.studies.store import RunStore
 
 
 @dataclass(kw_only=True)
@@ -79,14 +76,15 @@ class Assess(Splitting, Detecting, Sharing):
         bounds = self._bounds()
         self.sharing.spread(self._parts(), self.compute)
         cards = self.work() if self.specs else {}
-        from cloak_core.studies.card.gate import check, write_junit
+        from cloak_core.studies.card.gate import check, require_measured, write_junit
         from cloak_core.studies.card.leaderboard import gather, write_leaderboard
         from cloak_core.studies.card.page import write_card, write_comparison
         from cloak_core.studies.report.words import short_names
 
         if not self.specs:
             cards = gather(self.out)
-            self._require_figures(bounds, cards.values())
+            for card in cards.values() if bounds else ():
+                require_measured(self.gate, bounds, card)
         called = short_names(card["spec"] for card in cards.values())
         folders = {called[card["spec"]]: self.out / name for name, card in cards.items()}
         pages = [write_card(folder) for folder in folders.values()]
@@ -115,15 +113,9 @@ class Assess(Splitting, Detecting, Sharing):
 
         return [] if self.gate is None else read_gate(self.gate)
 
-    def _require_figures(self, bounds: list[Bound], cards: Iterable[dict]) -> None:
-        from cloak_core.studies.card.gate import require_measured
-
-        for card in cards if bounds else ():
-            require_measured(self.gate, bounds, card)
-
     def _parts(self) -> list[tuple[str, Assess]]:
-        alone = self.part_of(leaderboard=None, junit=None)
-        return [(spec, replace(alone, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
+        specs = dict.fromkeys(self.specs)
+        return [(spec, self.part_of(leaderboard=None, junit=None, specs=(spec,))) for spec in specs]
 
     def _sizes(self) -> list[Size]:
         """List the sizes that this call may take, the largest first; one where no time is given."""
@@ -150,18 +142,18 @@ class Assess(Splitting, Detecting, Sharing):
 
     def work(self) -> dict[str, dict]:
         """Make a card for each detector, by its folder's name."""
-        from cloak_core.sources.photographs.people import load_people
+        from cloak_core.studies.card.gate import require_measured
         from cloak_core.studies.card.leaderboard import folder_names
 
         self.prepare()
         specs, patterns = tuple(dict.fromkeys(self.specs)), self._patterns()
-        people = None if self.people is None else load_people(self.people, self.images)
-        names, bounds = folder_names(specs), self._bounds()
+        people, names, bounds = self.load_people(), folder_names(specs), self._bounds()
         assessments = {
             names[spec]: self._choose(spec, detector, self.out / names[spec], people, patterns)
             for spec, detector in self.by_spec(specs).items()
         }
-        self._require_figures(bounds, (assessment.expected() for assessment in assessments.values()))
+        for assessment in assessments.values() if bounds else ():
+            require_measured(self.gate, bounds, assessment.expected())
         return {name: assessment.run() for name, assessment in assessments.items()}
 
     def _choose(
@@ -171,12 +163,22 @@ class Assess(Splitting, Detecting, Sharing):
 
         InputError: not even the smallest fits.
         """
+        from cloak_core.core.evaluation.settings import StoreOptions
         from cloak_core.studies.card.assess import Assessment
         from cloak_core.studies.report.words import short_name
+        from cloak_core.studies.store import RunStore
 
         pace = None
         for size in self._sizes():
-            store = self._store(spec, detector, size)
+            options = StoreOptions(
+                out=self.out,
+                seeds=size.seeds,
+                seed=self.seed,
+                size=size.pixels,
+                device=self.compute.device,
+                command=command_line(),
+            )
+            store = RunStore(self.split({spec: detector}, with_people=False), options, lambda message: None)
             assessment = Assessment(store, size, folder, self.zoo or None, WorkProgress(), people, patterns, self.logo)
             seconds, pace = assessment.seconds_left(pace)
             clocked = f"{1000 * pace.gradient:.0f} ms a forward and backward, {1000 * pace.forward:.0f} ms a forward"
@@ -185,20 +187,6 @@ class Assess(Splitting, Detecting, Sharing):
                 err.print(f"assessing {short_name(spec)}, size {size.name}: {about}")
                 return assessment
         raise InputError(f"--minutes {self.minutes:g}: {spec}: size {size.name}, the smallest, takes {about}")
-
-    def _store(self, spec: str, detector: Detector, size: Size) -> RunStore:
-        from cloak_core.core.evaluation.settings import StoreOptions
-        from cloak_core.studies.store import RunStore
-
-        options = StoreOptions(
-            out=self.out,
-            seeds=size.seeds,
-            seed=self.seed,
-            size=size.pixels,
-            device=self.compute.device,
-            command=command_line(),
-        )
-        return RunStore(self.split({spec: detector}, with_people=False), options, lambda message: None)
 
     def show(self, result: dict) -> None:
         from cloak_core.studies.card.words import headline, lede

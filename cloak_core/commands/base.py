@@ -5,28 +5,14 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from rich.console import Console
+from rich.table import Table
 
-from cloak_core.files.errors import Stopped, one_line
-from cloak_core.files.writing import require_new
-from cloak_core.sources.bodies.opening import load_scene
-
-__all__ = [
-    "RANK",
-    "Command",
-    "Stopped",
-    "command_line",
-    "err",
-    "load_scene",
-    "next_words",
-    "out",
-    "require_new",
-    "share",
-    "warn",
-]
+from cloak_core.files.errors import one_line
 
 RANK = int(os.environ.get("RANK", 0))
 """Which of torchrun's processes this is; one alone is 0. Only 0 writes on standard output."""
@@ -57,8 +43,10 @@ class Command:
     """Options with which help shows the command at work."""
     common: ClassVar[tuple[str, ...]] = ()
     """Options that --help shows where it does not show all, which --help-all does."""
+    then: ClassVar[str] = ""
+    """What people usually type after it, behind `cloak`; {name} is the value of an option."""
     next_why: ClassVar[str] = ""
-    """What the command that `following` gives is good for."""
+    """What that is good for."""
     json: bool = False
     """Print one machine-readable object on standard output, everything else on standard error."""
 
@@ -78,7 +66,7 @@ class Command:
 
     def following(self, result: dict) -> tuple[str, ...]:
         """Give the words behind `cloak` that people usually type after this one; nothing after a quick one."""
-        return ()
+        return tuple(word.format(**vars(self)) for word in self.then.split())
 
 
 def command_line() -> str:
@@ -100,3 +88,26 @@ def next_words(command: Command, result: dict) -> None:
 def share(value: float | None) -> str:
     """Write a share in a table: two digits, a dash for none."""
     return "–" if value is None else f"{value:.2f}"
+
+
+def left_out(result: dict) -> str:
+    """Say how many people of a result were left out, and why."""
+    return ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items()) or "nobody"
+
+
+def table(
+    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1, whole: bool = False, **look: object
+) -> Table:
+    """Make a table whose first `words` columns are of words, the others of figures, which stay on one line.
+
+    whole: the first column does, too, for names that people copy.
+    """
+    made = Table(title=title, **look)
+    for number, head in enumerate(heads):
+        is_figure = number >= words
+        made.add_column(
+            head, justify="right" if is_figure else "left", no_wrap=is_figure or (whole and not number), overflow="fold"
+        )
+    for row in rows:
+        made.add_row(*row)
+    return made

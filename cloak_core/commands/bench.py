@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.commands.base import Command, err, load_scene, out, require_new
-from cloak_core.commands.options import DetectorOptions, keep_freed_memory
+from cloak_core.commands.base import Command, err, out
+from cloak_core.commands.options import DetectorOptions, Photographed, keep_freed_memory
 from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Range
 from cloak_core.core.visibility.settings import RenderOptions
-
-if TYPE_CHECKING:
-    from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.files.writing import require_new
+from cloak_core.sources.bodies.opening import load_scene
 
 
 @dataclass(kw_only=True)
@@ -63,6 +62,7 @@ class Views(Timed):
     """Time visibility, a new view and a cached render, per view."""
 
     example = "--scene scene"
+    then = "bench accuracy --scene {scene} --only bench"
 
     scene: Path
     """Scene folder or .npz."""
@@ -74,12 +74,9 @@ class Views(Timed):
 
         return run_bench_views(**self.given(), tell=err.print)
 
-    def following(self, result: dict) -> tuple[str, ...]:
-        return ("bench", "accuracy", "--scene", str(self.scene), "--only", "bench")
-
 
 @dataclass(kw_only=True)
-class Step(Timed):
+class Step(Photographed, Timed):
     """Time a training step beside its floor, the detector alone on a ready batch."""
 
     example = "--detector builtin"
@@ -90,8 +87,6 @@ class Step(Timed):
     """Scene folder, .npz, or sample[:train]."""
     people: str | None = None
     """People in photographs as views, with a cloth (preset photographs), instead of the scene's bodies."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     backgrounds: str = "procedural:train"
     """Folder of images, or procedural[:train]."""
     batch: int = 8
@@ -107,9 +102,10 @@ class Step(Timed):
         from cloak_core.core.settings import make_settings
         from cloak_core.detectors.loading import load_detector
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+        from cloak_core.sources.photographs.fits import fit_people
 
         keep_freed_memory()
-        people = _fits(self.people, self.images)
+        people = fit_people(self.load_people()) if self.people else ()
         result = run_bench_step(
             load_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
@@ -136,14 +132,6 @@ class Step(Timed):
 
 def _named(specs: Sequence[str]) -> list[str]:
     return [word for spec in specs or ("builtin",) for word in ("--detector", spec)]
-
-
-def _fits(people: str | None, images: Path | None) -> Sequence[Fit]:
-    """Read people in photographs and fit them; nobody where none are named."""
-    from cloak_core.sources.photographs.fits import fit_people
-    from cloak_core.sources.photographs.people import load_people
-
-    return () if people is None else fit_people(load_people(people, images))
 
 
 @dataclass(kw_only=True)
@@ -181,6 +169,7 @@ class Accuracy(Bench):
     """Measure speed against error: every way to build a view, and installed peers."""
 
     example = "--scene sample --only bench"
+    then = "bench growth --quick"
 
     scene: str
     """Scene folder, .npz, or sample."""
@@ -199,26 +188,22 @@ class Accuracy(Bench):
 
         return run_bench_accuracy(load_scene(self.scene), tell=err.print, **self.given("scene"))
 
-    def following(self, result: dict) -> tuple[str, ...]:
-        return ("bench", "growth", "--quick")
-
 
 @dataclass(kw_only=True)
-class Growth(Bench):
+class Growth(Photographed, Bench):
     """Measure how time and memory grow: triangles, views, pixels, samples, people, detectors, squares of a cloth.
 
     Exponents of at most 1.05 are the aim.
     """
 
     example = "--only triangles --quick"
+    then = "bench stability"
 
     only: UseAppendAction[tuple[str, ...]] = ()
     """Some of triangles, views, pixels, samples, detectors, squares, people (default: all, people where --people
     names some)."""
     people: str | None = None
     """COCO file of people in photographs, of whom 100 to 10,000 others are made: scaled and recoloured."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     most: int | None = None
     """Leave out larger sizes than this."""
     quick: bool = False
@@ -233,17 +218,13 @@ class Growth(Bench):
     def run(self) -> dict:
         from cloak_core.bench.growth import run_bench_growth
 
-        memory = int(self.memory * 2**30)
-        people = None if self.people is None else (self.people, self.images)
+        people = (self.people, self.images) if self.people else None
         more = {"only": self.only, "out": self.out, "people": people, "most": self.most}
-        return run_bench_growth(self.threads, memory, self.quick, tell=err.print, **more)
-
-    def following(self, result: dict) -> tuple[str, ...]:
-        return ("bench", "stability")
+        return run_bench_growth(self.threads, int(self.memory * 2**30), self.quick, tell=err.print, **more)
 
 
 @dataclass(kw_only=True)
-class Gpu(Bench):
+class Gpu(Photographed, Bench):
     """Measure on a CUDA device what only one can tell, in one record.
 
     Without a device it says which parts were not run, and counts the operations of a new view.
@@ -251,10 +232,6 @@ class Gpu(Bench):
 
     example = "--out gpu.json"
 
-    people: str | None = None
-    """COCO file of people in photographs, for a step and `cloak wear` with people."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     scene: str | None = None
     """Scene whose first pose the views show (default: a sphere of 55,000 triangles)."""
     out: Path | None = None
@@ -281,6 +258,8 @@ class Stability(Bench):
     Exit code 1 on any mismatch.
     """
 
+    then = "bench accuracy --scene sample --only bench"
+
     def run(self) -> dict:
         from cloak_core.bench.stability import run_bench_stability
 
@@ -289,6 +268,3 @@ class Stability(Bench):
         if result["mismatches"]:
             result["failed"] = f"{result['mismatches']} mismatches in {result['cases']} cases"
         return result
-
-    def following(self, result: dict) -> tuple[str, ...]:
-        return ("bench", "accuracy", "--scene", "sample", "--only", "bench")

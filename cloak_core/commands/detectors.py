@@ -7,11 +7,13 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from cloak_core.commands.base import Command, load_scene, out, require_new
+from cloak_core.commands.base import Command, out
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Angles
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import require_new
+from cloak_core.sources.bodies.opening import load_scene
 
 LOW = 0.1
 """A best score below this is none."""
@@ -166,20 +168,15 @@ class Verify(Detecting):
 
     def show(self, result: dict) -> None:
         for report in self.reports(result):
-            show_report(report)
+            kind = "white box" if report["white_box"] else "black box, evaluation alone"
+            out.print(f"{report['spec']}: {report['layout']}, {kind}, reports {operating_point(report)}")
+            for name, check in report["checks"].items():
+                verdict = {True: "ok", False: "FAILED", None: "-"}[check["passed"]]
+                out.print(f"  {name:<20} {verdict:<7} {check['words']}")
 
     @staticmethod
     def reports(result: dict) -> list[dict]:
         return [result] if "checks" in result else list(result.values())
-
-
-def show_report(report: dict) -> None:
-    """Show one detector's checks, one a line."""
-    kind = "white box" if report["white_box"] else "black box, evaluation alone"
-    out.print(f"{report['spec']}: {report['layout']}, {kind}, reports {operating_point(report)}")
-    for name, check in report["checks"].items():
-        verdict = {True: "ok", False: "FAILED", None: "-"}[check["passed"]]
-        out.print(f"  {name:<20} {verdict:<7} {check['words']}")
 
 
 @dataclass(kw_only=True)

@@ -9,8 +9,8 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import Command, out, share
-from cloak_core.commands.options import AboutRun, Detecting
+from cloak_core.commands.base import Command, out, share, table
+from cloak_core.commands.options import AboutRun, Detecting, Photographed
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_people
 from cloak_core.core.detector import THRESHOLD
@@ -19,7 +19,7 @@ from cloak_core.core.settings.values import Angles
 
 
 @dataclass(kw_only=True)
-class Evaluate(AboutRun, Detecting):
+class Evaluate(AboutRun, Photographed, Detecting):
     """Measure a trained cloak on unseen bodies and backgrounds, beside controls."""
 
     example = "runs/first"
@@ -41,8 +41,6 @@ class Evaluate(AboutRun, Detecting):
     people: str | None = None
     """Judge on people in photographs instead: a COCO file with masks and landmarks; into RUN/evaluation-people. Angles,
     distances and the like are the photographs' own; --colors takes FILE.png@patch=0.3 as well."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     over_time: bool = False
     """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png (with --people
     curve-people)."""
@@ -62,29 +60,15 @@ class Evaluate(AboutRun, Detecting):
 
     def run(self) -> dict:
         from cloak_core.library import evaluate
-        from cloak_core.sources.photographs.people import load_people
         from cloak_core.studies.trained_run import trained_specs
 
         self.prepare()
         folder, config = self.opened()
-        specs = self.detector or trained_specs(folder, config)
-        people = None if self.people is None else load_people(self.people, self.images)
+        detectors = self.by_spec(self.detector or trained_specs(folder, config))
+        names = ("colors", "logo", "profile", "out", "over_time", "angles", "settings")
+        how = {name: getattr(self, name) for name in names} | {"people": self.load_people()}
         with counted("evaluating", self.events) as tell:
-            return evaluate(
-                self.run_folder,
-                self.scene,
-                self.backgrounds,
-                self.by_spec(specs),
-                colors=self.colors,
-                logo=self.logo,
-                profile=self.profile,
-                out=self.out,
-                over_time=self.over_time,
-                people=people,
-                angles=self.angles,
-                settings=self.settings,
-                on_progress=tell,
-            )
+            return evaluate(self.run_folder, self.scene, self.backgrounds, detectors, on_progress=tell, **how)
 
     def show(self, result: dict) -> None:
         show_success(result)
@@ -125,16 +109,13 @@ def success_table(spec: str, measured: dict, threshold: float, own: float) -> Ta
     """Make the table of one detector; `own`: the detector's own threshold."""
     rates = {name: told for name, told in measured.items() if isinstance(told, dict) and "success" in told}
     images = next(iter(rates.values()))["n"]
-    table = Table(title=f"{spec}: share of {images} images in which no person is reported")
-    heads = {"": None, f"at {threshold:g}": "success", "95 %": None, f"own {own:g}": "success_own"}
-    heads |= {"renamed": "renamed", "gone": "gone", "on body": "success_iou", "AP50": "ap50"}
-    for head in heads:
-        table.add_column(head, justify="right" if head else "left", min_width=9 if head == "95 %" else None)
+    heads = ("", f"at {threshold:g}", "95 %", f"own {own:g}", "renamed", "gone", "on body", "AP50")
+    rows = []
     for name, told in rates.items():
         low, high = told["ci95"]
-        words = {"": name, "95 %": f"{low:.2f}–{high:.2f}"}
-        table.add_row(*(share(told.get(key)) if key else words[head] for head, key in heads.items()))
-    return table
+        rest = (share(told.get(key)) for key in ("success_own", "renamed", "gone", "success_iou", "ap50"))
+        rows.append((name, share(told["success"]), f"{low:.2f}–{high:.2f}", *rest))
+    return table(f"{spec}: share of {images} images in which no person is reported", heads, rows)
 
 
 def matrix(result: dict) -> Table:
@@ -143,17 +124,14 @@ def matrix(result: dict) -> Table:
 
     controls = [name for name, rates in next(iter(result["detectors"].values())).items() if "success" in rates]
     controls = controls[:MOST_CONTROLS]
-    table = Table(title="success by detector: white box = trained against it, black box = not")
-    for column in ("", "box", *controls, "95 % of logo", "alarms"):
-        justify = "left" if column in ("", "box") else "right"
-        table.add_column(column, justify=justify, no_wrap=bool(column), min_width=None if column else 12)
-    boxes = result.get("white_box", {})
+    boxes, rows = result.get("white_box", {}), []
     for spec, measured in sorted(result["detectors"].items(), key=lambda item: boxes.get(item[0]) is not True):
         low, high = measured["logo"]["ci95"]
         successes = (f"{measured[name]['success']:.2f}" for name in controls)
         box, alarms = BOXES[boxes.get(spec)], f"{result['false_alarms'][spec]:.1%}"
-        table.add_row(short_name(spec), box, *successes, f"{low:.2f}–{high:.2f}", alarms)
-    return table
+        rows.append((short_name(spec), box, *successes, f"{low:.2f}–{high:.2f}", alarms))
+    title = "success by detector: white box = trained against it, black box = not"
+    return table(title, ("", "box", *controls, "95 % of logo", "alarms"), rows, words=2)
 
 
 @dataclass(kw_only=True)

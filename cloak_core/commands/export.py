@@ -60,14 +60,12 @@ class Coco(AboutRun, Computing):
         bodies = load_scene(self.scene or kept_back("scene", config))
         pattern, _, _ = open_run(folder, config, None, bodies)
         backgrounds = load_backgrounds(self.backgrounds or kept_back("backgrounds", config))
-        images = drawn_images(bodies, backgrounds, self.angles, self._settings(), self.compute.device, [pattern])
-        with counted("rendering") as tell:
-            return export_coco(images, pattern, self.out, self.format, tell)
-
-    def _settings(self) -> EvaluateSettings:
         names = ("images_per_view", "most_images", "distances", "elevations", "size", "seed")
         shift = min(50, self.size // 8) if self.shift is None else self.shift
-        return EvaluateSettings(shift=shift, **{name: getattr(self, name) for name in names})
+        settings = EvaluateSettings(shift=shift, **{name: getattr(self, name) for name in names})
+        images = drawn_images(bodies, backgrounds, self.angles, settings, self.compute.device, [pattern])
+        with counted("rendering") as tell:
+            return export_coco(images, pattern, self.out, self.format, tell)
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['file']}: {result['images']} images, {result['annotations']} annotations")

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from rich.table import Table
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.commands.base import out, require_new, share
+from cloak_core.commands.base import out, share, table
 from cloak_core.commands.options import AboutRun, Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import FilmSettings
+from cloak_core.files.writing import require_new
 
 
 @dataclass(kw_only=True)
@@ -25,6 +26,7 @@ class Film(AboutRun, Detecting):
     """
 
     example = "runs/first --scene sample-clothed:unseen --out walk.mp4"
+    then = "print {run_folder} --out sheets"
     next_why = "sheets to print and sew"
 
     out: Path
@@ -56,44 +58,31 @@ class Film(AboutRun, Detecting):
         folder, config = self.opened()
         detectors = self.by_spec(self.detector or trained_specs(folder, config))
         with counted("filming", self.events, "frames") as tell:
-            return film(
-                self.run_folder,
-                self.out,
-                self.scene,
-                self.backgrounds,
-                detectors,
-                colors=self.colors,
-                logo=self.logo,
-                settings=self.settings,
-                on_progress=tell,
-            )
+            how = {"colors": self.colors, "logo": self.logo, "settings": self.settings, "on_progress": tell}
+            return film(self.run_folder, self.out, self.scene, self.backgrounds, detectors, **how)
 
     def show(self, result: dict) -> None:
         from cloak_core.studies.report.words import instead, percent
 
         for spec, told in result["detectors"].items():
-            out.print(_table(spec, told, result))
+            takes = "" if result["takes"] == 1 else f" in {result['takes']} takes"
+            heads = ("", "at", "hidden", "renamed", "gone", "longest run", "first sight", "tracks")
+            own = result["operating_points"][spec]
+            rows = _rows(told, {"": result["threshold"], "_own": own})
+            out.print(table(f"{spec}: {result['frames']} frames{takes}", heads, rows))
             logo = told["logo"]
             out.print(f"no person in {percent(logo['hidden'])} at {result['threshold']:g}{instead(logo)}")
         if result["left_out"]:
             out.print(f"in {result['left_out']} of {result['frames']} frames the body was not in the picture")
         out.print(f"wrote {result['out']} and {result['numbers']}")
 
-    def following(self, result: dict) -> tuple[str, ...]:
-        return ("print", str(self.run_folder), "--out", "sheets")
 
-
-def _table(spec: str, told: dict, result: dict) -> Table:
-    takes = "" if result["takes"] == 1 else f" in {result['takes']} takes"
-    table = Table(title=f"{spec}: {result['frames']} frames{takes}")
-    for head in ("", "at", "hidden", "renamed", "gone", "longest run", "first sight", "tracks"):
-        table.add_column(head, justify="right" if head else "left")
-    own = result["operating_points"][spec]
+def _rows(told: dict, thresholds: dict[str, float]) -> Iterator[tuple[str, ...]]:
+    """Yield what is worn, a threshold, and the figures at it."""
     for control, x in told.items():
-        for suffix, threshold in (("", result["threshold"]), ("_own", own)):
+        for suffix, threshold in thresholds.items():
             shares = (share(x[f"{outcome}{suffix}"]) for outcome in ("hidden", "renamed", "gone"))
             sight = x[f"first_sight_m{suffix}"]
             metres = "–" if sight is None else f"{sight:.1f} m"
             tracks = str(x["tracks"]) if suffix else ""  # they are made at the detector's own threshold
-            table.add_row(control, f"{threshold:g}", *shares, str(x[f"longest_run{suffix}"]), metres, tracks)
-    return table
+            yield (control, f"{threshold:g}", *shares, str(x[f"longest_run{suffix}"]), metres, tracks)

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cloak_core.commands.base import load_scene, out, warn
-from cloak_core.commands.options import Computing
+from cloak_core.commands.base import out, warn
+from cloak_core.commands.options import Computing, Photographed
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import is_taken
+from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.studies.hardening.settings import HardenSettings
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ MOST_HOURS = 10_000
 
 
 @dataclass(kw_only=True)
-class Harden(Computing):
+class Harden(Photographed, Computing):
     """Harden a detector against cloaks, by adversarial fine-tuning without labels.
 
     The result is a detector of the same format. Give photographs (--photos) and people in photographs (--people) if
@@ -58,8 +59,6 @@ class Harden(Computing):
     people: str | None = None
     """People in photographs, as in cloak wear: they wear the cloaks, too, and are to be reported as in their own
     clothes."""
-    images: Path | None = None
-    """Folder of the photographs of --people (default: beside the file, or images/ beside it)."""
     assess: bool = True
     """Leave out the robustness cards of the detector before and after in OUT/cards (twenty minutes)."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
@@ -67,7 +66,6 @@ class Harden(Computing):
     def run(self) -> dict:
         from cloak_core.detectors.naming import full_spec
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
-        from cloak_core.sources.photographs.people import load_people
         from cloak_core.studies.hardening.hardening import Material, harden
         from cloak_core.studies.hardening.pictures import check_places
         from cloak_core.studies.hardening.students import open_student
@@ -83,37 +81,36 @@ class Harden(Computing):
         if not self.backgrounds.startswith("procedural"):
             check_places(backgrounds, student.teacher, self.settings.size, self.backgrounds)
         photographs = None if self.photos is None else load_backgrounds(self.photos)
-        people = None if self.people is None else load_people(self.people, self.images)
-        material = Material(bodies, backgrounds, photographs, people)
+        material = Material(bodies, backgrounds, photographs, self.load_people())
         settings = self._planned(student, material)
         with TrainingProgress(label="hardening") as progress:
             result = harden(settings, student, material, self.out, resume=self.resume, on_event=progress)
         stopped = f"stopped at step {result.step}: {result.stopped}" if result.stopped else ""
         skipped = stopped or ("" if self.assess else "--no-assess: nobody asked for them")
-        record = {"before": None, "after": None, "no_cards": skipped} if skipped else self._cards(result.spec)
-        record |= {"out": str(self.out), "spec": result.spec, "step": result.step, "steps": result.steps}
-        record |= {"seconds": round(result.seconds, 1), "judge": self._commands(result.spec)}
+        cards = {"before": None, "after": None, "no_cards": skipped} if skipped else self._cards(result.spec)
+        record = cards | {
+            "out": str(self.out),
+            "spec": result.spec,
+            "step": result.step,
+            "steps": result.steps,
+            "seconds": round(result.seconds, 1),
+            "judge": self._commands(result.spec),
+        }
         return record | ({"stopped": stopped} if stopped else {})
 
     def _planned(self, student: Student, material: Material) -> HardenSettings:
         """Settings with the counts that --hours asks for; those of the record where a hardening goes on."""
-        from cloak_core.studies.hardening.planning import (
-            measure_pace,
-            plan,
-            planned_words,
-            recorded_plan,
-            too_few_words,
-        )
+        from cloak_core.studies.hardening import planning
 
         if self.hours is None:
             return self.settings
         if self.resume and self.out.exists():
-            return recorded_plan(self.settings, self.out)
+            return planning.recorded_plan(self.settings, self.out)
         with TrainingProgress(label="timing updates") as progress:
-            pace = measure_pace(self.settings, student, material, progress)
-        settings = plan(self.settings, pace, self.hours)
-        out.print(planned_words(settings, pace, self.hours))
-        if words := too_few_words(settings, pace):
+            pace = planning.measure_pace(self.settings, student, material, progress)
+        settings = planning.plan(self.settings, pace, self.hours)
+        out.print(planning.planned_words(settings, pace, self.hours))
+        if words := planning.too_few_words(settings, pace):
             warn(words)
         return settings
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import out, share, warn
+from cloak_core.commands.base import out, share, table, warn
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import JudgeSettings
@@ -58,7 +58,9 @@ class Judge(Detecting):
 
     def show(self, result: dict) -> None:
         for spec, told in result["detectors"].items():
-            out.print(_table(spec, told, result))
+            title = f"{spec}: who is found, and who is hidden though found in the clean picture"
+            own = f"own {result['operating_points'][spec]:g}"
+            out.print(table(title, ("", "hidden", "95 %", own, "of", "found", "95 %", "of"), _rows(told)))
             if told["n_nobody"]:
                 out.print(f"false alarms in {told['n_nobody']} pictures of nobody: {told['false_alarms']:.1%}")
         for words in result["warnings"]:
@@ -67,19 +69,12 @@ class Judge(Detecting):
         out.print(f"{counted}; wrote {result['report']}")
 
 
-def _table(spec: str, told: dict, result: dict) -> Table:
-    table = Table(title=f"{spec}: who is found, and who is hidden though found in the clean picture")
-    own = f"own {result['operating_points'][spec]:g}"
-    for head in ("", "hidden", "95 %", own, "of", "found", "95 %", "of"):
-        table.add_column(head, justify="right" if head else "left", min_width=9 if head == "95 %" else None)
+def _rows(told: dict) -> Iterator[tuple[str, ...]]:
+    """Yield what is worn, who is hidden in it, and who is found."""
     for name, s in {"with": told["with"], **told["controls"], "without": told["without"]}.items():
-        found = share(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"])
-        hidden = ("", "", "", "")
-        if name != "without":
-            shares = share(s["conditional"]), _interval(s["ci95_conditional"]), share(s["conditional_own"])
-            hidden = (*shares, str(s["n_conditional"]))
-        table.add_row(name, *hidden, *found)
-    return table
+        shares = share(s["conditional"]), _interval(s["ci95_conditional"]), share(s["conditional_own"])
+        hidden = ("", "", "", "") if name == "without" else (*shares, str(s["n_conditional"]))
+        yield (name, *hidden, share(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"]))
 
 
 def _interval(bounds: tuple) -> str:

@@ -22,6 +22,7 @@ class Add(Detecting):
     """
 
     example = "cards/builtin --to leaderboard"
+    then = "leaderboard build {to}"
 
     cards: Positional[tuple[str, ...]]
     """Folders that cloak assess wrote (CARDS/NAME), or their card.json."""
@@ -44,9 +45,6 @@ class Add(Detecting):
     def show(self, result: dict) -> None:
         for folder in result["added"]:
             out.print(f"{folder}: every figure holds")
-
-    def following(self, result: dict) -> tuple[str, ...]:
-        return ("leaderboard", "build", str(self.to))
 
 
 @dataclass(kw_only=True)

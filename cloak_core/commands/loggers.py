@@ -18,7 +18,11 @@ Log = Literal["tensorboard", "mlflow", "wandb"]
 
 
 class Logger:
-    """Takes a run's events and hands scalars and previews to a client. InputError: its package is not installed."""
+    """Takes a run's events and hands scalars and previews to a client. InputError: its package is not installed.
+
+    Subclasses say how: `begin(step)` begins, or goes on behind a step; `scalars(values, step)` takes numbers by
+    GROUP/NAME; `picture(path, step)` takes a preview; `end()` writes out what is left.
+    """
 
     package: ClassVar[str]
     """The client; the last part of its name is that of its extra."""
@@ -27,7 +31,7 @@ class Logger:
 
     def __init__(self, run: Path) -> None:
         self.run = run
-        self.open = False
+        self.is_open = False
         try:
             self.client = importlib.import_module(self.package)
         except ImportError:
@@ -38,7 +42,7 @@ class Logger:
         return self
 
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
-        if self.open:
+        if self.is_open:
             self.end()
 
     def __call__(self, event: dict) -> None:
@@ -46,28 +50,12 @@ class Logger:
         if kind in ("start", "resume"):
             # Only now does the run folder exist.
             self.begin(step)
-            self.open = True
-        elif self.open and kind == "step":
+            self.is_open = True
+        elif self.is_open and kind == "step":
             figures = {name: value for name, value in event.items() if isinstance(value, float) and name != "time"}
             self.scalars({f"training/{name}": value for name, value in figures.items()}, step)
-        elif self.open and kind == "preview":
+        elif self.is_open and kind == "preview":
             self.picture(self.run / event["path"], step)
-
-    def begin(self, step: int) -> None:
-        """Begin, or go on behind `step`."""
-        raise NotImplementedError
-
-    def scalars(self, values: dict[str, float], step: int) -> None:
-        """Take the numbers of a step, by GROUP/NAME."""
-        raise NotImplementedError
-
-    def picture(self, path: Path, step: int) -> None:
-        """Take a preview."""
-        raise NotImplementedError
-
-    def end(self) -> None:
-        """Write out what is left."""
-        raise NotImplementedError
 
     def settings(self) -> dict:
         """Read the run's settings."""

@@ -9,13 +9,15 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from cloak_core.commands.base import Command, load_scene, out, require_new
+from cloak_core.commands.base import Command, out
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Angles
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import require_new
+from cloak_core.sources.bodies.opening import load_scene
 
 
 def write_logo(path: Path, bodies: Bodies, ids: np.ndarray) -> dict:

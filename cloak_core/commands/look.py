@@ -54,7 +54,8 @@ class Look(Detecting):
 def answer_lines(looker: Looker) -> int:
     """Answer the requests of standard input, one a line; how many there were."""
     from cloak_core.files.reading import parse_json
-    from cloak_core.studies.look import Look
+    from cloak_core.files.writing import write_json
+    from cloak_core.studies.look import ANSWER, Look
 
     count = 0
     while line := sys.stdin.readline(MAX_LINE):
@@ -66,15 +67,7 @@ def answer_lines(looker: Looker) -> int:
                 looker.look(Look.of(record))
         except InputError as error:
             warn(str(error))
-            tell_error(record, str(error))
+            place = record.get("out")  # where the answer is waited for
+            if isinstance(place, str) and Path(place).is_dir():
+                write_json(Path(place) / ANSWER, {"error": str(error)})
     return count
-
-
-def tell_error(record: dict, message: str) -> None:
-    """Write what was wrong with a request to where its answer is waited for."""
-    from cloak_core.files.writing import write_json
-    from cloak_core.studies.look import ANSWER
-
-    place = record.get("out")
-    if isinstance(place, str) and Path(place).is_dir():
-        write_json(Path(place) / ANSWER, {"error": message})

@@ -22,6 +22,7 @@ from cloak_core.files.errors import first_line
 
 if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
+    from cloak_core.sources.photographs.people import People
     from cloak_core.studies.data_split import DataSplit
 
 _MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8
@@ -116,22 +117,17 @@ class Detecting(Computing):
 
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
 
-    def load_all(self, specs: Iterable[str]) -> list[Detector]:
-        """Load detectors, in order."""
-        from cloak_core.detectors.loading import load_detector
-
-        return [load_detector(spec, device=self.compute.device, **self.options.arguments()) for spec in specs]
-
     def load(self, spec: str) -> Detector:
         """Load one detector."""
-        return self.load_all([spec])[0]
+        from cloak_core.detectors.loading import load_detector
+
+        return load_detector(spec, device=self.compute.device, **self.options.arguments())
 
     def by_spec(self, specs: Iterable[str]) -> dict[str, Detector]:
         """Load each of the detectors once, by its full spec."""
         from cloak_core.detectors.naming import full_spec
 
-        specs = tuple(dict.fromkeys(map(full_spec, specs)))
-        return dict(zip(specs, self.load_all(specs), strict=True))
+        return {spec: self.load(spec) for spec in dict.fromkeys(map(full_spec, specs))}
 
 
 @dataclass(kw_only=True)
@@ -151,7 +147,23 @@ class AboutRun(Command):
 
 
 @dataclass(kw_only=True)
-class Splitting(Command):
+class Photographed(Command):
+    """A command that takes people in photographs."""
+
+    people: str | None = None
+    """People in photographs: a COCO file with masks and landmarks; FILE[0::2] takes every second photograph."""
+    images: Path | None = None
+    """Folder of the photographs of people (default: beside the file, or images/ beside it)."""
+
+    def load_people(self) -> People | None:
+        """Read the people; None: none are named. InputError: they cannot be read."""
+        from cloak_core.sources.photographs.people import load_people
+
+        return load_people(self.people, self.images) if self.people else None
+
+
+@dataclass(kw_only=True)
+class Splitting(Photographed):
     """A command that trains on a part of its bodies, backgrounds and people, and judges on the rest."""
 
     scene: str = "sample"
@@ -162,8 +174,6 @@ class Splitting(Command):
     people: str | None = None
     """People in photographs, a COCO file with masks and landmarks: those of every second photograph are trained on, the
     others judge instead of renders."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     backgrounds: str = "procedural"
     """Folder of images without people, or procedural."""
     unseen_backgrounds: str | None = None
@@ -171,7 +181,6 @@ class Splitting(Command):
 
     def split(self, detectors: dict[str, Detector], with_people: bool = True) -> DataSplit:
         """Open the material and split it. InputError: something cannot be opened, or is too little to split."""
-        from cloak_core.sources.photographs.people import load_people
         from cloak_core.studies.data_split import open_data_split
 
         return open_data_split(
@@ -180,5 +189,5 @@ class Splitting(Command):
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
-            people=load_people(self.people, self.images) if with_people and self.people else None,
+            people=self.load_people() if with_people else None,
         )

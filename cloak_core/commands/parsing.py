@@ -13,6 +13,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from cloak_core.commands.base import Command
 from cloak_core.commands.help import flags, one_command, options_of, usage
+from cloak_core.core.settings.retired import RETIRED
 from cloak_core.core.settings.values import Parsable
 from cloak_core.files.errors import InputError, suggestion
 
@@ -61,6 +62,9 @@ def _refusal(cls: type[Command], name: str, boxed: str, arguments: list[str]) ->
     _, _, unknown = boxed.partition("Unrecognized options:")
     known = flags(cls)
     strange = [word for word in map(_flag, arguments) if word.startswith("--") and word not in known]
+    gone = RETIRED.get(strange[0].lstrip("-").replace("-", "_")) if strange else None
+    if gone:
+        return f"this version has no {strange[0]}{f'; use {gone.instead}' if gone.instead else ''}"
     if strange and unknown:
         # Compared without dashes, which all have in common.
         meant = suggestion(strange[0].lstrip("-"), [flag.lstrip("-") for flag in known], 0.6)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from cloak_core.commands.base import Command, out
+from cloak_core.commands.base import Command, left_out, out
 from cloak_core.commands.progress import counted
 from cloak_core.commands.sharing import executor_of
 
@@ -48,8 +48,7 @@ class Fit(Command):
         }
 
     def show(self, result: dict) -> None:
-        left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
-        out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}")
+        out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left_out(result)}")
         out.print(f"the body covers {result['covered']:.0%} of a person, {result['spilled']:.0%} of it lies beside her")
 
     def following(self, result: dict) -> tuple[str, ...]:

@@ -8,9 +8,10 @@ from typing import Literal
 
 from tyro.conf import UseAppendAction
 
-from cloak_core.commands.base import Command, load_scene, out
+from cloak_core.commands.base import Command, out
 from cloak_core.commands.options import AboutRun
 from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.opening import load_scene
 
 
 @dataclass(kw_only=True)
@@ -79,16 +80,16 @@ def told(report: dict) -> list[str]:
         f"{report['stretch_99'] - 1:.0%} off on 99 % of the cloth",
         f"{report['marks']} marks along seams; sizes are those of the pose '{report['pose']}'",
     ]
-    if not report["unprintable_colors"]:
-        return words
     share = f"{report['unprintable_colors']:,} of {report.get('colors', report['faces']):,} colours"
-    if report["projected"]:
-        return [*words, f"{share} could not come out, and were replaced by the nearest that can"]
-    return [
-        *words,
-        f"{share} cannot be mixed by a four-colour printer and will come out duller: --project replaces them by the "
-        "nearest that can (evaluate those: cloak evaluate --profile, after cloak calibrate), or train with --profile",
-    ]
+    if report["unprintable_colors"] and report["projected"]:
+        words.append(f"{share} could not come out, and were replaced by the nearest that can")
+    elif report["unprintable_colors"]:
+        words.append(
+            f"{share} cannot be mixed by a four-colour printer and will come out duller: --project replaces them by "
+            "the nearest that can (evaluate those: cloak evaluate --profile, after cloak calibrate), or train with "
+            "--profile"
+        )
+    return words
 
 
 @dataclass(kw_only=True)

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from cloak_core.commands.base import err, require_new
+from cloak_core.commands.base import err
+from cloak_core.files.writing import require_new
 
 if TYPE_CHECKING:
     from cloak_core.studies.store import RunStore
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
 PLAIN_EVERY = 10.0
 """Seconds between lines where there is no terminal."""
 SOON = 2.0
-"""Seconds after which the first line says about how long it takes, in a terminal, too."""
+"""Seconds of work after which something is said of the time left."""
+QUICK = 0.002
+"""Seconds; a report that comes sooner is of something that was done before."""
 
 
 def announce(work: str, total: int, seconds: float | None = None, *, unit: str) -> None:
@@ -32,6 +35,47 @@ def announce(work: str, total: int, seconds: float | None = None, *, unit: str) 
     """
     about = "" if seconds is None else f", about {_minutes(seconds)} on this machine"
     err.print(f"{work}: {total:,} {unit.removesuffix('s') if total == 1 else unit}{about}")
+
+
+class Pace:
+    """How quick something counted goes, from the first report on: the first waits for compilers and files.
+
+    What is reported without having taken any time was found done, and counts for nothing.
+    """
+
+    def __init__(self) -> None:
+        self.begin(0)
+
+    def begin(self, done: float) -> None:
+        """Count from here: what is done already took no time of ours."""
+        self._done, self._at, self._worked, self._spent = done, time.monotonic(), 0.0, 0.0
+        self._is_first, self._is_said = True, False
+
+    def report(self, done: float) -> None:
+        """Take how much is done by now."""
+        now = time.monotonic()
+        if done > self._done and now - self._at > QUICK:
+            if not self._is_first:
+                self._worked, self._spent = self._worked + done - self._done, self._spent + now - self._at
+            self._is_first = False
+        self._done, self._at = done, now
+
+    def left(self, total: float) -> float | None:
+        """Estimate the seconds that the rest will take; None before anything can be said, or after the end."""
+        if self._spent < SOON or self._done >= total:
+            return None
+        return (total - self._done) * self._spent / self._worked
+
+    def is_news(self) -> bool:
+        """Tell, once, that the time left is known for the first time."""
+        is_news = self._spent >= SOON and not self._is_said
+        self._is_said = self._is_said or is_news
+        return is_news
+
+    def words(self, total: float | None) -> str:
+        """Say about how long the rest takes; "" where nobody knows."""
+        left = self.left(total) if total else None
+        return "" if left is None else f", about {_minutes(left)} left"
 
 
 class TrainingProgress:
@@ -68,48 +112,20 @@ class TrainingProgress:
             self._step(event)
 
     def _step(self, event: dict) -> None:
-        # One batch says little about success: show a running mean over about twenty.
-        if isinstance(event.get("success"), (int, float)):
-            self._success = (
-                event["success"] if self._success is None else 0.95 * self._success + 0.05 * event["success"]
-            )
         figures = f"loss {event['loss']:.3f}"
+        if isinstance(event.get("success"), (int, float)):
+            # One batch says little about success: show a running mean over about twenty.
+            before = event["success"] if self._success is None else self._success
+            self._success = 0.95 * before + 0.05 * event["success"]
         if self._success is not None:
             figures += f"  success on its last images {self._success:.0%}"
         self._bar.update(self._task, total=self._total, completed=event["step"], figures=figures)
-        pace = self._pace.words(event["step"], self._total)
-        due = time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total
-        if not err.is_terminal and (due or self._pace.is_news):
+        self._pace.report(event["step"])
+        is_due = time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total
+        if not err.is_terminal and (self._pace.is_news() or is_due):
             self._said = time.monotonic()
-            err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s{pace}")
-
-
-class Pace:
-    """How quick something counted goes, from the first that was done: what is compiled for it counts for nothing."""
-
-    def __init__(self) -> None:
-        self.begin(0)
-
-    def begin(self, done: int) -> None:
-        """Count from here: what is done already took no time of ours."""
-        self._first, self._began = done, None
-        self._told = self.is_news = False
-        """`is_news`: `words` says for the first time how long it takes."""
-
-    def words(self, done: int, total: int | None) -> str:
-        """Say the rate and about how long the rest takes; "" before anything can be said, or after the end."""
-        if self._began is None and done > self._first:
-            self._first, self._began = done, time.monotonic()
-        if self._began is None:
-            return ""
-        worked, seconds = done - self._first, time.monotonic() - self._began
-        self.is_news = not self._told and worked > 0 and seconds >= SOON
-        self._told = self._told or self.is_news
-        if worked <= 0 or seconds <= 0 or not total or done >= total:
-            return ""
-        rate = worked / seconds
-        shown = f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each"
-        return f"; {shown}, about {_minutes((total - done) / rate)} left"
+            step = f"step {event['step']}/{self._total or '?'}"
+            err.print(f"{step}  {figures}  {event['time']:.0f} s{self._pace.words(self._total)}")
 
 
 @contextmanager
@@ -127,10 +143,9 @@ def counted(label: str, events: Path | None = None, unit: str = "images") -> Ite
     if events is not None:
         require_new(events)
         log = EventLog(events)
-    begun = time.monotonic()
+    begun = said = time.monotonic()
     known: int | None = None
-    last = 0
-    pace, said = Pace(), begun
+    last, pace = 0, Pace()
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     with Progress(*columns, console=err, disable=not err.is_terminal) as bar:
         task = bar.add_task(label, total=None)
@@ -142,17 +157,16 @@ def counted(label: str, events: Path | None = None, unit: str = "images") -> Ite
                 pace.begin(done)
                 announce(label, total, unit=unit)
                 said = time.monotonic()
-            last = done
-            words = pace.words(done, total)
-            if not err.is_terminal and (pace.is_news or time.monotonic() - said >= PLAIN_EVERY):
+            pace.report(done)
+            if not err.is_terminal and (pace.is_news() or time.monotonic() - said >= PLAIN_EVERY):
                 said = time.monotonic()
-                err.print(f"{label}: {done} of {total}{words}")
+                err.print(f"{label}: {done} of {total}{pace.words(total)}")
             seconds = time.monotonic() - begun
             if log is not None and total != known:
                 log.write({"type": "start", "step": 0, "time": seconds, "steps": total})
             if log is not None and done:
                 log.write({"type": "step", "step": done, "time": seconds})
-            known = total
+            known, last = total, done
 
         try:
             yield tell
@@ -170,34 +184,16 @@ def shown_progress(store: RunStore) -> Iterator[None]:
 
 
 class WorkProgress:
-    """Takes what is being done, how much of all is done and how much there is in all; shows them and the time left.
+    """Takes what is being done, how much of all is done and how much there is in all; says so, and the time left."""
 
-    What was found done already takes no time, and tells nothing of how long the rest will.
-    """
-
-    def __init__(self, silent: bool = False) -> None:
-        self._silent, self._said, self._spent, self._worked = silent, -PLAIN_EVERY, 0.0, 0.0
-        self._done, self._at, self._label = 0.0, time.monotonic(), ""
+    def __init__(self) -> None:
+        self._said, self._label, self._pace = -PLAIN_EVERY, "", Pace()
 
     def __call__(self, label: str, done: float, total: float) -> None:
-        now = time.monotonic()
-        if now - self._at > QUICK and done > self._done:
-            self._spent, self._worked = self._spent + now - self._at, self._worked + done - self._done
-        self._done, self._at = done, now
-        if not self._silent and (now - self._said >= PLAIN_EVERY or label != self._label):
-            self._said, self._label = now, label
-            left = f", about {_minutes(self.left(total))} left" if self._worked >= TELLING * total else ""
-            err.print(f"{label}: {done / total:.0%}{left}")
-
-    def left(self, total: float) -> float:
-        """Estimate the seconds that the rest will take at the pace so far."""
-        return (total - self._done) * self._spent / max(self._worked, 1e-9)
-
-
-TELLING = 0.01
-"""Share of the work that says how long the rest takes; the first images wait for compilers and files."""
-QUICK = 0.002
-"""Seconds; a report that comes sooner is of something that was done before."""
+        self._pace.report(done)
+        if time.monotonic() - self._said >= PLAIN_EVERY or label != self._label:
+            self._said, self._label = time.monotonic(), label
+            err.print(f"{label}: {done / total:.0%}{self._pace.words(total)}")
 
 
 def _minutes(seconds: float) -> str:

@@ -12,25 +12,25 @@ import hashlib
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
 import tarfile
 import tempfile
 import time
+import typing
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tyro.conf import Positional
 
-from cloak_core.commands.base import Command, out, require_new
+from cloak_core.commands.base import Command, out
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import split_spec
-from cloak_core.files.writing import write_text
+from cloak_core.files.writing import require_new, write_text
 
 LOOK_SECONDS = 2.0
 UNREACHABLE = 255  # exit code, as ssh's own
@@ -38,15 +38,12 @@ LIVE = ("config.json", "material.npz", "logo.npy", "logo.json", "events.jsonl", 
 """Of a run folder: what is fetched while it trains."""
 OWN = (".lock", "cancel")
 """Of a run folder: what belongs to the machine it lies on."""
-OUTPUTS = ("out", "events", "publish", "leaderboard", "junit", "directory")
-"""Options that name what is written."""
-DETECTORS = ("detector", "spec", "specs", "against", "judge", "unseen")
-"""Options that name detectors, in specs such as darknet:CFG:WEIGHTS@OPTIONS."""
-PLACES = (
-    *("scene", "backgrounds", "unseen_backgrounds", "people", "photos", "colors", "patterns", "cloak", "init", "near"),
-    *("palette", "profile", "query_prior", "source", "target", "camera", "logo"),
-)
-"""Other options of text that may name a file or folder; FILE[PART] and FILE@OPTIONS are spelled so."""
+OUTPUTS = ("out", "events", "publish", "leaderboard", "junit", "directory", "to", "chart")
+"""Options that name what is written. Every other path, and every text that names something, is read."""
+PLAIN = ("text", "name", "about", "command", "licence", "kin", "person_class", "layout", "device", "ray", "made_from")
+"""Options of text that name no file, though one may be called so."""
+SPECS = ("detector", "width_detector", "query_prior", "spec", "specs", "against", "judge")
+"""Options that name detectors, which have files between colons: darknet:CFG:WEIGHTS@OPTIONS."""
 COMPANIONS = {".xml": (".bin",), ".npy": (".json",), ".onnx": (".json", ".onnx.data", ".onnx_data")}
 """By the suffix of a file: the suffixes of files beside it that belong to it."""
 
@@ -65,8 +62,6 @@ class Remote(Command):
     """What runs a line of shell over there: "ssh gpu-box"; "sh -c" for this machine."""
     folder: str = "/tmp/cloak"
     """A folder over there for scenes and runs."""
-    shared: Path | None = None
-    """That folder as this machine sees it, where they share it; otherwise files go through the machine's command."""
     program: str = "cloak"
     """What starts cloak over there: cloak, or python3 -m cloak_core."""
     save: Path | None = None
@@ -76,30 +71,27 @@ class Remote(Command):
 
     def run(self) -> dict:
         if self.save is not None:
-            return {"saved": str(save_launcher(self))}
+            return {"saved": str(self._save_launcher(self.save))}
         if not self.words:
             raise InputError("remote: name a command after -- (train --logo ...), or --save")
         if os.environ.get("CLOAK_OFFLINE"):
             raise InputError("remote: no network is allowed (in Blender: Preferences > System > Allow Online Access)")
-        raise SystemExit(run_there(Machine(self.machine, self.folder, self.shared), self.program, list(self.words)))
+        raise SystemExit(run_there(Machine(self.machine, self.folder), self.program, list(self.words)))
+
+    def _save_launcher(self, path: Path) -> Path:
+        """Write an executable program that runs its arguments by `cloak remote` with these options."""
+        require_new(path)
+        options = [f"--{name}={getattr(self, name)}" for name in ("machine", "folder", "program")]
+        words = [sys.executable, "-m", "cloak_core", "remote", *options]
+        if os.name == "nt":
+            write_text(path, f"@{subprocess.list2cmdline(words)} -- %*\n")
+        else:
+            write_text(path, f'#!/bin/sh\nexec {shlex.join(words)} -- "$@"\n')
+        path.chmod(0o755)
+        return path
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['saved']}: choose it as the trainer in Blender")
-
-
-def save_launcher(options: Remote) -> Path:
-    """Write an executable program that runs its arguments by `cloak remote` with these options."""
-    require_new(options.save)
-    named = {"machine": options.machine, "folder": options.folder, "program": options.program}
-    named |= {"shared": str(options.shared)} if options.shared else {}
-    words = [sys.executable, "-m", "cloak_core", "remote", *(f"--{name}={value}" for name, value in named.items())]
-    if os.name == "nt":
-        text = f"@{subprocess.list2cmdline(words)} -- %*\n"
-    else:
-        text = f'#!/bin/sh\nexec {shlex.join(words)} -- "$@"\n'
-    write_text(options.save, text)
-    options.save.chmod(0o755)
-    return options.save
 
 
 # --- what a command names ---------------------------------------------------------------------------------------------
@@ -113,22 +105,25 @@ def named_paths(command: Command) -> tuple[set[str], set[str]]:
             written.add(str(value))
         elif isinstance(value, Path):
             read.add(str(value))
-        elif name in DETECTORS:
-            read.update(map(without_options, split_spec(value)))
-        elif name in PLACES:
-            read.add(without_options(value))
+        elif name not in PLAIN:
+            read.update(map(without_options, split_spec(value) if name in SPECS else [value]))
     return {path for path in read if path and os.path.exists(path)}, written - {"None", ""}
 
 
 def option_values(options: object) -> Iterator[tuple[str, Path | str]]:
-    """The names and values of paths and texts among options, also of those that are grouped."""
+    """The names and values of paths and free texts among options, also of those that are grouped."""
+    hints = typing.get_type_hints(type(options))
     for one in dataclasses.fields(options):
         value = getattr(options, one.name)
         if dataclasses.is_dataclass(value):
             yield from option_values(value)
-        for part in value if isinstance(value, tuple | list) else (value,):
-            if isinstance(part, Path | str):
-                yield one.name, part
+        elif not _is_choice(hints[one.name]):
+            parts = value if isinstance(value, tuple | list) else (value,)
+            yield from ((one.name, part) for part in parts if isinstance(part, Path | str))
+
+
+def _is_choice(kind: object) -> bool:
+    return typing.get_origin(kind) is typing.Literal or any(map(_is_choice, typing.get_args(kind)))
 
 
 def without_options(text: str) -> str:
@@ -142,16 +137,10 @@ def without_options(text: str) -> str:
 def files_of(path: Path) -> dict[str, Path]:
     """The files to send for a path that an option names, links followed, by their names beside it."""
     if path.is_dir():
-        found: dict[str, Path] = {}
-        for folder, _, names in os.walk(path, followlinks=True):
-            for name in names:
-                file = Path(folder, name)
-                if name not in OWN and file.is_file():
-                    found[file.relative_to(path.parent).as_posix()] = file
-        return found
+        walked = (Path(folder, name) for folder, _, names in os.walk(path, followlinks=True) for name in names)
+        return {f.relative_to(path.parent).as_posix(): f for f in walked if f.name not in OWN and f.is_file()}
     beside = [path.with_suffix(suffix) for suffix in COMPANIONS.get(path.suffix.lower(), ())]
-    files = {file.name: file for file in (path, *beside) if file.is_file()}
-    return files | pictures_of(path)
+    return {file.name: file for file in (path, *beside) if file.is_file()} | pictures_of(path)
 
 
 def pictures_of(path: Path) -> dict[str, Path]:
@@ -162,9 +151,8 @@ def pictures_of(path: Path) -> dict[str, Path]:
         names = [str(image["file_name"]) for image in read_json(path)["images"]]
     except (InputError, KeyError, TypeError):  # another kind of file
         return {}
-    return {
-        name: path.parent / name for name in names if ".." not in Path(name).parts and (path.parent / name).is_file()
-    }
+    inside = [name for name in names if ".." not in Path(name).parts]
+    return {name: path.parent / name for name in inside if (path.parent / name).is_file()}
 
 
 # --- the other machine ------------------------------------------------------------------------------------------------
@@ -172,11 +160,10 @@ def pictures_of(path: Path) -> dict[str, Path]:
 
 @dataclass
 class Machine:
-    """Another machine, behind a prefix that runs a line of shell there, and perhaps a folder that it shares."""
+    """Another machine, behind a prefix that runs a line of shell there."""
 
     prefix: str
     folder: str
-    shared: Path | None = None
     there: dict[str, str] = field(default_factory=dict)  # where paths of this machine lie over there
 
     def start(self, line: str, **streams: object) -> subprocess.Popen:
@@ -187,59 +174,33 @@ class Machine:
         """Run a line of shell over there and return its exit code."""
         return self.start(line, stdin=subprocess.DEVNULL).wait()
 
-    def here(self, remote: str) -> Path:
-        """A path over there as this machine sees it in the shared folder."""
-        return Path(self.shared, os.path.relpath(remote, self.folder))
-
     def send(self, path: Path) -> str:
         """Send what a path names unless an unchanged copy is there; return its path over there."""
         files = files_of(path)
         look = [f"{name} {file} {file.stat().st_size} {file.stat().st_mtime_ns}" for name, file in files.items()]
         place = f"{self.folder}/{digest(str(path), *look)}"
-        names = {plain(name): file for name, file in files.items()}
-        (self._copy if self.shared else self._pipe)(names, place)
+        goal = shlex.quote(place)
+        if self.do(f"test -e {goal}/.complete") != 0:
+            process = self.start(f"mkdir -p {goal} && tar -C {goal} -xf - && touch {goal}/.complete", stdin=-1)
+            with tarfile.open(fileobj=process.stdin, mode="w|", dereference=True) as archive:
+                for name, file in files.items():
+                    archive.add(file, plain(name))
+            process.stdin.close()
+            if process.wait() != 0:
+                raise InputError(f"{', '.join(files)}: cannot be sent to {self.folder}")
         return f"{place}/{plain(path.name)}"
-
-    def _copy(self, names: dict[str, Path], place: str) -> None:
-        goal = self.here(place)
-        if not (goal / ".complete").exists():
-            for name, file in names.items():
-                (goal / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(file, goal / name)
-            (goal / ".complete").touch()
-
-    def _pipe(self, names: dict[str, Path], place: str) -> None:
-        place = shlex.quote(place)
-        if self.do(f"test -e {place}/.complete") == 0:
-            return
-        process = self.start(f"mkdir -p {place} && tar -C {place} -xf - && touch {place}/.complete", stdin=-1)
-        with tarfile.open(fileobj=process.stdin, mode="w|", dereference=True) as archive:
-            for name, file in names.items():
-                archive.add(file, name)
-        process.stdin.close()
-        if process.wait() != 0:
-            raise InputError(f"{', '.join(names)}: cannot be sent to {self.folder}")
 
     def fetch(self, remote: str, local: Path, names: tuple[str, ...] = ()) -> None:
         """Bring a file or folder back (of a folder only some names); each file is replaced at once."""
         local.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=local.parent, prefix=".cloak ") as temporary:
-            (self._copy_back if self.shared else self._pipe_back)(remote, names, temporary)
+            self._unpack(remote, names, temporary)
             for file in [p for p in Path(temporary).rglob("*") if p.is_file() and p.name not in OWN]:
                 place = local.joinpath(*file.relative_to(temporary).parts[1:])
                 place.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, place)
 
-    def _copy_back(self, remote: str, names: tuple[str, ...], temporary: str) -> None:
-        source = self.here(remote)
-        files = [source / name for name in names] or [source, *source.rglob("*")]
-        for file in (path for path in files if path.is_file()):
-            place = temporary / file.relative_to(source.parent)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):  # a temporary file of the trainer's
-                shutil.copyfile(file, place)
-
-    def _pipe_back(self, remote: str, names: tuple[str, ...], temporary: str) -> None:
+    def _unpack(self, remote: str, names: tuple[str, ...], temporary: str) -> None:
         folder, name = os.path.split(remote)
         parts = " ".join(shlex.quote(f"{name}/{part}") for part in names) if names else shlex.quote(name)
         line = f"cd {shlex.quote(folder)} 2>/dev/null && tar -cf - $(ls -d {parts} 2>/dev/null)"
@@ -275,15 +236,15 @@ def run_there(machine: Machine, program: str, words: list[str]) -> int:
 
     command = cli.parse(*cli.find(words))
     read, written = named_paths(command)
-    if machine.shared and not machine.shared.is_dir():
-        return unreachable(f"{machine.shared}: the shared folder is not there")
-    if machine.do(f"mkdir -p {shlex.quote(machine.folder)}") != 0:
-        return unreachable(f"{machine.prefix}: cannot be reached, or {machine.folder} not made there")
+    folder = shlex.quote(machine.folder)
+    if machine.do(f"mkdir -p {folder}") != 0:
+        sys.stderr.write(f"cloak: {machine.prefix}: cannot be reached, or {machine.folder} not made there\n")
+        return UNREACHABLE
     outputs = prepare(machine, read, written, str(getattr(command, "run_folder", "")))
-    pid = f"{machine.folder}/{os.getpid()}.pid"
-    line = " ".join(map(shlex.quote, [*shlex.split(program), *(translated(word, machine.there) for word in words)]))
+    pid = f"{folder}/{os.getpid()}.pid"
+    line = shlex.join([*shlex.split(program), *(translated(word, machine.there) for word in words)])
     environment = "unset PYTHONPATH PYTHONHOME; export PYTHONUNBUFFERED=1 PYTHONSAFEPATH=1"
-    shell = f"cd {shlex.quote(machine.folder)} && echo $$ > {shlex.quote(pid)} && {environment} && exec {line}"
+    shell = f"cd {folder} && echo $$ > {pid} && {environment} && exec {line}"
     process = machine.start(shell, stdin=subprocess.DEVNULL, stdout=-1)
     run = Path(command.out) if words[0] == "train" else None
     follow(machine, process, outputs, run, pid)
@@ -297,12 +258,6 @@ def run_there(machine: Machine, program: str, words: list[str]) -> int:
     sys.stdout.write(answer)
     sys.stdout.flush()
     return process.returncode
-
-
-def unreachable(reason: str) -> int:
-    """Say why the other machine cannot be used."""
-    sys.stderr.write(f"cloak: {reason}\n")
-    return UNREACHABLE
 
 
 def prepare(machine: Machine, read: set[str], written: set[str], judged: str) -> dict[Path, str]:
@@ -356,4 +311,4 @@ def follow(machine: Machine, process: subprocess.Popen, outputs: dict[Path, str]
             if run is not None and ((run / "cancel").exists() or stops):
                 machine.do(f"touch {shlex.quote(outputs[run])}/cancel")
             elif stops:
-                machine.do(f"kill $(cat {shlex.quote(pid)})")
+                machine.do(f"kill $(cat {pid})")

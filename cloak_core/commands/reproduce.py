@@ -67,19 +67,23 @@ class Reproduce(Splitting, Computing, Sharing):
 
     def _planned(self) -> dict:
         """List the rows of the experiments that have any, and how long each takes."""
+        self.prepare()
+        store = self._store()
+        rows = {name: self._planned_rows(name, store, self.name != "all") for name in self._names()}
+        return {"page": "", "experiments": {}, "skipped": {}, "plan": rows}
+
+    @staticmethod
+    def _planned_rows(name: str, store: RunStore, are_needed: bool = False) -> list[dict]:
+        """List the rows of an experiment; none where it has none. InputError: some `are_needed`."""
         from cloak_core.experiments.plan import plan
         from cloak_core.experiments.runner import find
 
-        self.prepare()
-        store, rows = self._store(), {}
-        for name in self._names():
-            try:
-                rows[name] = [vars(row) for row in plan(find(name), store)]
-            except InputError:
-                if self.name != "all":
-                    raise
-                rows[name] = []
-        return {"page": "", "experiments": {}, "skipped": {}, "plan": rows}
+        try:
+            return [vars(row) for row in plan(find(name), store)]
+        except InputError:
+            if are_needed:
+                raise
+            return []
 
     def _rows(self) -> dict:
         """Make the chosen rows of one experiment, for `reproduce` without --only to find."""
@@ -98,7 +102,7 @@ class Reproduce(Splitting, Computing, Sharing):
 
     def _measure(self) -> tuple[dict, dict]:
         """Measure; give records by name, and why others were left out."""
-        from cloak_core.experiments.runner import run_experiment
+        from cloak_core.experiments.runner import find, run_experiment
         from cloak_core.studies.cycles import NoBlender
 
         self.sharing.spread(self._parts(), self.compute)
@@ -108,7 +112,10 @@ class Reproduce(Splitting, Computing, Sharing):
         skipped: dict[str, str] = {}
         for name in self._names():
             try:
-                self._announce(name, store)
+                if rows := self._planned_rows(name, store):
+                    announce(name, len(rows), sum(row["seconds"] for row in rows), unit="rows")
+                else:
+                    err.print(f"{name}: {find(name).title}")
                 with shown_progress(store):
                     done[name] = run_experiment(name, store)
             except NoBlender as missing:
@@ -117,18 +124,6 @@ class Reproduce(Splitting, Computing, Sharing):
                 warn(f"{missing}; left out")
                 skipped[name] = str(missing)
         return done, skipped
-
-    @staticmethod
-    def _announce(name: str, store: RunStore) -> None:
-        """Say how many rows there are, and about how long they take where none is done; without rows, the title."""
-        from cloak_core.experiments.plan import plan
-        from cloak_core.experiments.runner import find
-
-        try:
-            rows = plan(find(name), store)
-        except InputError:
-            return err.print(f"{name}: {find(name).title}")
-        announce(name, len(rows), sum(row.seconds for row in rows), unit="rows")
 
     def _parts(self) -> list[tuple[str, Reproduce]]:
         """Split the command by experiment, and each of them by its cells."""
@@ -154,14 +149,14 @@ class Reproduce(Splitting, Computing, Sharing):
         """Draw again from the numbers alone, with what `_measure` gives."""
         from cloak_core.experiments.runner import draw_again, finished
 
-        if self.name != "all":
-            return {self.name: draw_again(self.name, self.amount.out)}, {}
         done: dict[str, dict] = {}
         skipped: dict[str, str] = {}
-        for name in finished(self.amount.out):
+        for name in finished(self.amount.out) if self.name == "all" else [self.name]:
             try:
                 done[name] = draw_again(name, self.amount.out)
             except InputError as earlier:
+                if self.name != "all":
+                    raise
                 warn(f"{earlier}; left as it is")
                 skipped[name] = str(earlier)
         return done, skipped

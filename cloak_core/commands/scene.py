@@ -9,9 +9,11 @@ from typing import Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import Command, load_scene, out, require_new, warn
+from cloak_core.commands.base import Command, out, warn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene
+from cloak_core.files.writing import require_new
+from cloak_core.sources.bodies.opening import load_scene
 
 
 def describe(bodies: Bodies) -> dict:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cloak_core import __version__
-from cloak_core.commands.base import Command, err, out, require_new
+from cloak_core.commands.base import Command, err, out
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import write_text
+from cloak_core.files.writing import require_new, write_text
 
 SCRIPTS, PYTHON, PROGRAM = ("Scripts", "python.exe", "cloak.exe") if os.name == "nt" else ("bin", "python", "cloak")
 GIGABYTES, GIGABYTES_WITHOUT_TORCH = 6.0, 0.6

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 from tyro.conf import OmitArgPrefixes, arg
 
@@ -19,14 +19,6 @@ from cloak_core.files.errors import InputError, Stopped
 
 if TYPE_CHECKING:
     from cloak_core.jobs.ray_cluster import RayCluster
-
-
-class Part(Protocol):
-    """A command for a part of the work; it can be pickled."""
-
-    def work(self) -> object:
-        """Make what is missing. InputError; `Stopped` where it was ended early, in order."""
-        ...
 
 
 def executor_of(address: str | None) -> RayCluster | None:
@@ -52,8 +44,8 @@ class SharingOptions:
         """Make what does the jobs; None: in order, here. InputError: Ray is not installed."""
         return executor_of(self.ray)
 
-    def spread(self, parts: Sequence[tuple[str, Part]], compute: ComputeSettings) -> None:
-        """Have the parts done, each with its name for people; do nothing without --ray.
+    def spread(self, parts: Sequence[tuple[str, Sharing]], compute: ComputeSettings) -> None:
+        """Have the parts (commands with `work`) done, each with its name for people; do nothing without --ray.
 
         A part that fails leaves the others alone; then InputError names the first such. Stopped: a part was ended
         early.
@@ -84,12 +76,16 @@ class Sharing(Command):
         default_factory=SharingOptions
     )
 
+    def work(self) -> object:
+        """Make what is missing of a part. InputError; `Stopped` where it was ended early, in order."""
+        raise NotImplementedError
+
     def part_of(self, **changes: object) -> Self:
         """Make the same command for a part of the work, done where it is run."""
         return replace(self, sharing=SharingOptions(), **changes)
 
 
-def do(part: Part) -> str:
+def do(part: Sharing) -> str:
     """Do a part; say why it was ended early, "" where it was not."""
     try:
         part.work()

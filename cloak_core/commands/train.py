@@ -10,9 +10,9 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.commands.base import RANK, Stopped, out, warn
+from cloak_core.commands.base import RANK, out, warn
 from cloak_core.commands.loggers import LOGGERS, Log
-from cloak_core.commands.options import Detecting
+from cloak_core.commands.options import Detecting, Photographed
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.core.settings import COMPONENTS, PRESETS, Preset, TrainSettings, components_from_record, merge
 from cloak_core.core.settings.components import (
@@ -27,14 +27,14 @@ from cloak_core.core.settings.components import (
     ViewSettings,
 )
 from cloak_core.core.settings.people import PeopleSettings
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.specs import reach
 from cloak_core.files.writing import is_taken
 
 
 @dataclass(kw_only=True)
-class Train(Detecting):
+class Train(Photographed, Detecting):
     """Train a logo's face colours until detectors no longer report the person.
 
     Ctrl-C, or a file named `cancel` in the run folder, ends the run after the current step with everything in place
@@ -43,20 +43,8 @@ class Train(Detecting):
 
     example = "--scene sample:train --logo chest+thighs --detector builtin --out runs/first"
     common = (
-        *(
-            "scene",
-            "people",
-            "images",
-            "logo",
-            "detector",
-            "backgrounds",
-            "out",
-            "preset",
-            "config",
-            "resume",
-            "extend",
-            "init",
-        ),
+        *("scene", "people", "images", "logo", "detector", "backgrounds", "out"),
+        *("preset", "config", "resume", "extend", "init"),
         *("steps", "batch", "max-seconds", "angles", "size", "hide", "seed", "device", "threads", "json"),
     )
 
@@ -65,8 +53,6 @@ class Train(Detecting):
     people: str | None = None
     """People in photographs to train on, beside or instead of --scene: a COCO file with masks and landmarks;
     PEOPLE.json[0::2] takes every second photograph."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     logo: Path
     """Faces to colour: a face list (.npy) from Blender or `cloak logo`, or regions of the scene, chest+thighs."""
     detector: UseAppendAction[tuple[str, ...]] = ()
@@ -89,8 +75,6 @@ class Train(Detecting):
     log: UseAppendAction[tuple[Log, ...]] = ()
     """Also hand curves and previews to tensorboard (files in RUN/tensorboard), mlflow or wandb (where their own
     settings say); each is an extra."""
-    tensorboard: bool = False
-    """The same as --log tensorboard."""
     preset: Preset = "best"
     """Settings to start from: paper (the paper's text), reference (its code), best (against these detectors), transfer
     (for detectors that training never saw, with several --detector), photographs (the default with --people)."""
@@ -142,7 +126,6 @@ class Train(Detecting):
 
     def run(self) -> dict:
         from cloak_core.library import train
-        from cloak_core.sources.photographs.people import load_people
 
         _ = self.settings  # checked before anything is done
         if self.extend is not None:
@@ -153,8 +136,7 @@ class Train(Detecting):
         settings = self.settings
         scene = self.scene or (None if self.people else "sample:train")
         listeners = [TrainingProgress(silent=bool(RANK))]
-        asked = dict.fromkeys((*self.log, *(["tensorboard"] if self.tensorboard else [])))
-        listeners += [] if RANK else [LOGGERS[name](self.out) for name in asked]
+        listeners += [] if RANK else [LOGGERS[name](self.out) for name in dict.fromkeys(self.log)]
         # Of several processes (torchrun) the first one writes, and may have begun to; training itself checks again.
         if is_taken(self.out) and not self.resume and not RANK:
             raise InputError(f"{self.out}: exists already (continue that run with --resume, or name another folder)")
@@ -163,8 +145,8 @@ class Train(Detecting):
                 "--preset transfer: reaches more detectors through several surrogates; name more than one --detector, "
                 "or take colours that were trained on several (cloak zoo list)"
             )
-        people = None if self.people is None else load_people(self.people, self.images)
-        detectors = self.load_all(self.detector or ("builtin",))
+        people = self.load_people()
+        detectors = [self.load(spec) for spec in self.detector or ("builtin",)]
         noted = {"made_from": self.made_from, "people": self.people}
         with contextlib.ExitStack() as stack:
             for listener in listeners:
@@ -179,7 +161,7 @@ class Train(Detecting):
                 resume=self.resume,
                 on_event=lambda event: [listener(event) for listener in listeners],
                 inputs={key: str(value) for key, value in noted.items() if value},
-                query_prior=self.load_all(self.query_prior),
+                query_prior=[self.load(spec) for spec in self.query_prior],
                 people=people,
             )
         return result.record()

@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 from tyro.conf import UseAppendAction
 
-from cloak_core.commands.base import Stopped, command_line, err, out, share
+from cloak_core.commands.base import command_line, err, out, share, table
 from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.progress import announce, shown_progress
 from cloak_core.commands.sharing import Sharing
 from cloak_core.core.settings.components import Hide
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, Stopped
 
 if TYPE_CHECKING:
     from cloak_core.studies.transfer import Matrix
+
+
+CIRCLE_IMAGES = 240
+"""Most test images of --circle."""
 
 
 @dataclass(kw_only=True)
@@ -129,8 +133,8 @@ class Transfer(Splitting, Detecting, Sharing):
         from cloak_core.detectors.naming import full_spec
 
         self.detector, self.judge = (tuple(map(full_spec, specs)) for specs in (self.detector, self.judge))
-        specs = tuple(dict.fromkeys((*self.detector, *self.judge)))
-        split = self.split(self.by_spec(specs))
+        detectors = self.by_spec((*self.detector, *self.judge))
+        split = self.split(detectors)
         options = StoreOptions(
             out=self.out,
             steps=() if self.steps is None else (self.steps,),
@@ -141,25 +145,22 @@ class Transfer(Splitting, Detecting, Sharing):
             images_per_view=self.images_per_view,
             device=self.compute.device,
         )
-        most = self.most_images or (240 if self.circle else None)
         cameras = PHOTOGRAPHS if self.people else CIRCLE if self.circle else FRONT
-        training = dict(cameras.training)
+        training, test = dict(cameras.training), dict(cameras.test)
         if self.hide != "person":
             training["hide"] = self.hide
         if self.detectors_per_step:
             training["detectors_per_step"] = self.detectors_per_step
-        test = dict(cameras.test)
-        if most is not None:
-            test["most_images"] = most
-        cameras = replace(cameras, training=training, test=test)
+        if self.most_images or self.circle:
+            test["most_images"] = self.most_images or CIRCLE_IMAGES
         return Matrix(
             store=RunStore(split, options, err.print),
             faces=self._faces(split.bodies),
             logo=Path(self.logo).stem,
             surrogates=tuple(dict.fromkeys(self.detector)),
             judges=tuple(dict.fromkeys(self.judge or self.detector)),
-            family=families(specs, self.kin),
-            cameras=cameras,
+            family=families(tuple(detectors), self.kin),
+            cameras=replace(cameras, training=training, test=test),
             cross_family_only=self.strangers_only,
             deadline=None if self.budget_minutes is None else started + 60 * self.budget_minutes,
         )
@@ -210,14 +211,11 @@ def _table(ablation: str, summary: dict) -> Table:
     from cloak_core.studies.report.words import short_name
 
     caption = f"{MARKS['stranger'].strip()} no sibling among its surrogates"
-    table = Table(title=f"{ablation}: success, judged by a detector that training left out", caption=caption)
-    table.add_column("judged by", min_width=11, overflow="fold")
-    heads = {"at 0.6": "success", "95 %": None, "renamed": "renamed", "gone": "gone", "own": "success_own"}
-    heads |= {"random": "random", "clothing": "clothing"}
-    for head in heads:
-        table.add_column(head, justify="right", no_wrap=True)
+    title = f"{ablation}: success, judged by a detector that training left out"
+    heads = ("judged by", "at 0.6", "95 %", "renamed", "gone", "own", "random", "clothing")
+    rows = []
     for spec, cell in summary["matrix"].items():
         low, high = cell["ci95"]
-        shares = (share(cell[key]) if key else f"{low:.2f}–{high:.2f}" for key in heads.values())
-        table.add_row(short_name(spec) + MARKS[cell["kin"]], *shares)
-    return table
+        rest = (share(cell[key]) for key in ("renamed", "gone", "success_own", "random", "clothing"))
+        rows.append((short_name(spec) + MARKS[cell["kin"]], share(cell["success"]), f"{low:.2f}–{high:.2f}", *rest))
+    return table(title, heads, rows, caption=caption)

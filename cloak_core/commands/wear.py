@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import out, require_new, share
+from cloak_core.commands.base import left_out, out, share, table
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import require_new
 
 
 @dataclass(kw_only=True)
@@ -63,19 +63,10 @@ class Wear(Detecting):
 
         detectors, choosers = self.by_spec(self.detector), self.by_spec(self.width_detector)
         with counted("dressing") as tell:
-            return wear(
-                [one for color in self.colors for one in expanded(color)],
-                self.people,
-                detectors,
-                self.backgrounds,
-                images=self.images,
-                logo=self.logo,
-                out=self.out,
-                settings=self.settings,
-                on_progress=tell,
-                width_people=self.width_people,
-                width_detectors=choosers,
-            )
+            colors = [one for color in self.colors for one in expanded(color)]
+            how = {name: getattr(self, name) for name in ("images", "logo", "out", "settings", "width_people")}
+            how |= {"width_detectors": choosers, "on_progress": tell}
+            return wear(colors, self.people, detectors, self.backgrounds, **how)
 
     def show(self, result: dict) -> None:
         show_worn(result, self.settings.threshold)
@@ -101,14 +92,13 @@ def show_worn(result: dict, threshold: float | int) -> None:
 
     for spec, told in result["detectors"].items():
         point = result["operating_points"][spec]
-        table = Table(title=f"{spec}: share of people who are not found")
-        for head in ("", f"at {threshold:g}", "95 %", f"own {point:g}", "renamed", "gone", "as"):
-            table.add_column(head, justify="right" if head else "left", overflow="fold")  # a name is whole on two lines
+        heads = ("", f"at {threshold:g}", "95 %", f"own {point:g}", "renamed", "gone", "as")
+        rows = []
         for name, s in told.items():
             low, high = s["ci95"]
             rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
-            table.add_row(name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s))
-        out.print(table)
+            rows.append((name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s)))
+        out.print(table(f"{spec}: share of people who are not found", heads, rows))
     for color, curve in result.get("widths", {}).items():
         on = f"{curve['people']} people and {', '.join(curve['detectors'])}, who do not judge"
         out.print(f"{color}: {curve['chosen']:g} m wide, chosen on {on}")
@@ -122,6 +112,5 @@ SEEN = {True: "; training saw none of these photographs", False: "; training saw
 
 def show_people(result: dict) -> None:
     """Say who was judged, who was left out, and whether training saw these photographs."""
-    left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
     seen = SEEN.get(result.get("unseen", {}).get("photographs"), "")
-    out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}{seen}")
+    out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left_out(result)}{seen}")

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from rich.table import Table
 from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import Command, load_scene, out, require_new
+from cloak_core.commands.base import Command, out, table
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import counted
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import require_new
+from cloak_core.sources.bodies.opening import load_scene
 
 if TYPE_CHECKING:
     from cloak_core.zoo.entry import Entry
@@ -26,26 +27,28 @@ class List(Command):
     """
 
     def run(self) -> dict:
-        from cloak_core.zoo.entry import entry, shelved, success, success_on_people
+        from cloak_core.zoo.entry import entry, mean_success, shelved
 
-        records = [entry(name).record for name in shelved()]
         kept = ("name", "detectors", "logo", "cover", "about", "licence", "faces")
-        rates = lambda record: {"success": success(record), "success_on_people": success_on_people(record)}
-        return {"zoo": [{key: record[key] for key in kept} | rates(record) for record in records]}
+        rows = []
+        for record in (entry(name).record for name in shelved()):
+            row = {key: record[key] for key in kept}
+            row["success"] = mean_success(record["evaluation"])
+            row["success_on_people"] = mean_success(record.get("people", {}))
+            rows.append(row)
+        return {"zoo": rows}
 
     def show(self, result: dict) -> None:
         from cloak_core.studies.report.words import percent, short_name
 
-        table = Table(title="zoo: mean success over the detectors each was evaluated on (cloak zoo show NAME)")
-        for column in ("name", "logo", "trained on", "success", "on people", "licence"):
-            # Names are copied: none is cut.
-            width = max((len(record[column]) for record in result["zoo"]), default=1) if column == "name" else None
-            table.add_column(column, justify="right" if column in ("success", "on people") else "left", min_width=width)
+        rows = []
         for record in result["zoo"]:
             trained = ", ".join(short_name(spec) for spec in record["detectors"])
             rates = percent(record["success"]), percent(record["success_on_people"])
-            table.add_row(record["name"], record["logo"], trained, *rates, record["licence"])
-        out.print(table)
+            rows.append((record["name"], record["logo"], trained, record["licence"], *rates))
+        title = "zoo: mean success over the detectors each was evaluated on (cloak zoo show NAME)"
+        heads = ("name", "logo", "trained on", "licence", "success", "on people")
+        out.print(table(title, heads, rows, words=4, whole=True))
 
 
 @dataclass(kw_only=True)
@@ -68,17 +71,15 @@ class Show(Command):
         out.print(f"{result['name']}: {result['about']}")
         out.print(f"{result['logo']}, {result['faces']} faces; {result['licence']}; seed {result['seed']}")
         out.print(f"trained on {', '.join(short_name(spec) for spec in result['detectors'])}: {result['command']}")
-        table = Table(title="success on bodies, backgrounds and angles that training never saw")
-        for column in ("judged by", "box", "at 0.6", "95 %", "at its own", "random", "images"):
-            table.add_column(column, justify="left" if column in ("judged by", "box") else "right")
-        told = result["evaluation"]
+        rows, told = [], result["evaluation"]
         boxes = {True: "white", False: "black"}
         for spec, rates in told["detectors"].items():
             logo, random = rates["logo"], rates.get("random", {})
             shares = percent(logo["success"]), interval(logo["ci95"]), percent(logo["success_own"])
             box = boxes.get(told["white_box"].get(spec), "?")
-            table.add_row(short_name(spec), box, *shares, percent(random.get("success")), str(logo["n"]))
-        out.print(table)
+            rows.append((short_name(spec), box, *shares, percent(random.get("success")), str(logo["n"])))
+        heads = ("judged by", "box", "at 0.6", "95 %", "at its own", "random", "images")
+        out.print(table("success on bodies, backgrounds and angles that training never saw", heads, rows, words=2))
         for spec, rates in result.get("people", {}).get("detectors", {}).items():
             logo = rates["logo"]
             shares = f"{percent(logo['success'])} at 0.6, {percent(logo['success_own'])} at its own threshold"
@@ -136,19 +137,15 @@ class Reproduce(Computing):
     def show(self, result: dict) -> None:
         from cloak_core.studies.report.words import interval, percent, short_name
 
-        table = Table(title="success as recorded, with its interval, and again")
-        for column in ("name", "judged by", "at 0.6", "again", "95 %", "at its own", "again", "images"):
-            words = column in ("name", "judged by")
-            width = max((len(row["name"]) for row in result["zoo"]), default=1) if column == "name" else None
-            justify = "left" if words else "right"
-            table.add_column(column, justify=justify, min_width=width, no_wrap=not words, overflow="fold")
+        rows = []
         for row in result["zoo"]:
             for spec, told in row["detectors"].items():
                 old, new = told["recorded"], told["again"]
                 shares = [percent(rates[key]) for key in ("success", "success_own") for rates in (old, new)]
                 shares.insert(2, interval(old["ci95"]))
-                table.add_row(row["name"], short_name(spec), *shares, str(new["n"]))
-        out.print(table)
+                rows.append((row["name"], short_name(spec), *shares, str(new["n"])))
+        heads = ("name", "judged by", "at 0.6", "again", "95 %", "at its own", "again", "images")
+        out.print(table("success as recorded, with its interval, and again", heads, rows, words=2, whole=True))
         for name, why in result["left_out"].items():
             out.print(f"left out: {name}: {why}")
 

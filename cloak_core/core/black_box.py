@@ -40,6 +40,8 @@ PRIOR = 0.75
 """Share of the directions that surrogates give, where there are any; the others keep what surrogates are blind to."""
 MEMORY = (0.9, 0.99)
 """Of the estimate, and of its mean square."""
+QUERY_LR = 0.02
+"""How far the colours follow the estimated gradient in each update, in units of colour [0, 1]."""
 _STREAM = 0xB1AC
 """Of random numbers, apart from those that draw the images."""
 
@@ -83,7 +85,7 @@ def search_settings(settings: TrainSettings, detectors: int) -> TrainSettings:
         loss="margin",
         ensemble="mean",
         detectors_per_step=None,
-        lr=settings.queries.query_lr,
+        lr=QUERY_LR,
         schedule="constant",
         gamut="projection",
     )

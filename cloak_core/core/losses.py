@@ -23,13 +23,14 @@ from cloak_core.core.visibility.compiled import arrays, loop, use_loops
 
 SURE = 1 - 2**-24
 """The largest float32 below 1: the log of a saturated score is 16.6 and not infinity."""
+MARGIN = 1.0
+"""Logits below the operating point at which half of the gradient of the loss "margin" is left."""
 
 
 def person_loss(
     detections: Detections,
     kind: Loss = "score",
     operating_point: float = THRESHOLD,
-    margin: float = 1.0,
 ) -> Float[Tensor, " B"]:
     """Measure how surely each image shows a person, by its surest box.
 
@@ -37,8 +38,8 @@ def person_loss(
 
     kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
     without objectness), "log" or "margin", which alone asks for the `operating_point`, the score in (0, 1) at which the
-    detector reports a person, and the `margin`, how far below it, in logits, half the gradient is left. No boxes count
-    0, but for "margin" the little that a score of 0 does.
+    detector reports a person: half the gradient is left `MARGIN` below it. No boxes count 0, but for "margin" the
+    little that a score of 0 does.
     """
     if kind == "objectness":
         best = max_objectness(detections)
@@ -47,7 +48,7 @@ def person_loss(
     if kind == "log":
         best = -torch.log1p(-best.clamp(max=SURE))
     if kind == "margin":
-        best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - _logit(operating_point) + margin)
+        best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - _logit(operating_point) + MARGIN)
     return best
 
 

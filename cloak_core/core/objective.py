@@ -126,7 +126,7 @@ class Objective:
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)
-        return person_loss(detections, settings.loss, point, settings.margin)
+        return person_loss(detections, settings.loss, point)
 
 
 @dataclass(frozen=True)

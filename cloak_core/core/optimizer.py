@@ -24,6 +24,8 @@ _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
 ADAM_EPSILON = 1e-8
 """torch's own defaults."""
+STEP_EPOCHS = 10.0
+"""Epochs between the drops of the schedule step."""
 COSINE_END = 0.01
 """Share of the learning rate that the cosine schedule ends at."""
 
@@ -31,7 +33,7 @@ COSINE_END = 0.01
 def learning_rate(settings: OptimizerSettings, step: int, steps: int, epoch: float) -> float:
     """Find the learning rate of update `step` (from 0) of `steps`, `epoch` epochs into the run."""
     if settings.schedule == "step":
-        return settings.lr * 0.1 ** math.floor(epoch / settings.lr_epochs)
+        return settings.lr * 0.1 ** math.floor(epoch / STEP_EPOCHS)
     if settings.schedule == "cosine":
         cosine = 0.5 + 0.5 * math.cos(math.pi * step / steps)
         return settings.lr * (COSINE_END + (1 - COSINE_END) * cosine)

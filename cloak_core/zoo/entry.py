@@ -104,6 +104,7 @@ def write_entry(
     mask = np.zeros(config["scene"]["faces"], bool)
     mask[faces.ids] = True
     config = _kept(config)
+    summary = read_json(run / "evaluation" / "summary.json")
     called = logo or Path(config["inputs"].get("logo", "logo")).stem
     record = {
         "format": FORMAT,
@@ -120,7 +121,8 @@ def write_entry(
         "colors": sha256_arrays(colors),
         "topology": config["topology"],
         "cloak": config["cloak"],
-        "evaluation": _evaluation(read_json(run / "evaluation" / "summary.json")),
+        "evaluation": _judged(summary, "unseen", "settings")
+        | {"inputs": {key: summary["inputs"][key] for key in ("bodies", "scene", "backgrounds")}},
         **_photographs(run, config),
     }
     for end in ("npz", "json"):
@@ -139,17 +141,12 @@ def _kept(config: dict) -> dict:
     kept["detectors"] = [_unplaced(detector) for detector in config["detectors"]]
     pictures = config["backgrounds"]
     kept["backgrounds"] = {key: pictures[key] for key in ("count", "identities", "looks") if key in pictures}
-    if isinstance(pictures.get("looks"), list):
-        # Without the small copies, which would ship somebody's photographs: of backgrounds and of people.
-        kept["backgrounds"]["looks"] = _without_copies(pictures["looks"])
-    people = config.get("people")
-    if isinstance(people, dict) and isinstance(people.get("looks"), list):
-        kept["people"] = people | {"looks": _without_copies(people["looks"])}
+    for part in ("backgrounds", "people"):
+        material = kept.get(part)
+        if isinstance(material, dict) and isinstance(material.get("looks"), list):
+            # Without the small copies, which would ship somebody's photographs: of backgrounds and of people.
+            kept[part] = material | {"looks": [str(look).partition(".")[0] for look in material["looks"]]}
     return kept
-
-
-def _without_copies(looks: list) -> list[str]:
-    return [str(look).partition(".")[0] for look in looks]
 
 
 def _unplaced(detector: dict) -> dict:
@@ -160,19 +157,20 @@ def _unplaced(detector: dict) -> dict:
     return found
 
 
-def _evaluation(summary: dict) -> dict:
-    """Choose what the record keeps of the evaluation, made before the colours were rounded to 1/255."""
-    controls = ("logo", *summary["settings"]["controls"])
-    rates = {
-        without_folders(spec): {name: {key: told[name].get(key) for key in _SHOWN} for name in controls if name in told}
+def _judged(summary: dict, *keys: str) -> dict:
+    """Choose what the record keeps of an evaluation, made before the colours were rounded to 1/255.
+
+    These keys as they are, and what is known by detector, without folders.
+    """
+    kept = {key: summary[key] for key in keys if key in summary}
+    for key in ("false_alarms", "white_box", "operating_points"):
+        kept[key] = {without_folders(spec): value for spec, value in summary.get(key, {}).items()}
+    worn = ("logo", *summary["settings"]["controls"])
+    kept["detectors"] = {
+        without_folders(spec): {name: {key: told[name].get(key) for key in _SHOWN} for name in worn if name in told}
         for spec, told in summary["detectors"].items()
     }
-    white = {without_folders(spec): box for spec, box in summary.get("white_box", {}).items()}
-    points = {without_folders(spec): at for spec, at in summary.get("operating_points", {}).items()}
-    kept = {key: summary[key] for key in ("unseen", "settings", "false_alarms") if key in summary}
-    kept["false_alarms"] = {without_folders(spec): x for spec, x in kept.get("false_alarms", {}).items()}
-    inputs = {key: summary["inputs"][key] for key in ("bodies", "scene", "backgrounds")}
-    return kept | {"detectors": rates, "white_box": white, "operating_points": points, "inputs": inputs}
+    return kept
 
 
 def _photographs(run: Path, config: dict) -> dict:
@@ -183,33 +181,16 @@ def _photographs(run: Path, config: dict) -> dict:
         record["trained_on"] = dict(zip(seen["photographs"], seen["licences"], strict=True))
     folder = run / "evaluation-people"
     if (folder / "summary.json").exists():
-        summary = read_json(folder / "summary.json")
-        kept = {key: summary[key] for key in ("people", "photographs", "unseen") if key in summary}
-        for key in ("false_alarms", "white_box", "operating_points"):
-            kept[key] = {without_folders(spec): value for spec, value in summary.get(key, {}).items()}
-        worn = ("logo", *summary["settings"]["controls"])
-        rates = {
-            without_folders(spec): {
-                name: {key: rates[name].get(key) for key in _SHOWN} for name in worn if name in rates
-            }
-            for spec, rates in summary["detectors"].items()
-        }
-        record["people"] = kept | {"detectors": rates}
+        record["people"] = _judged(read_json(folder / "summary.json"), "people", "photographs", "unseen")
     elif (folder / "wear.json").exists():
         # Earlier versions told white boxes and unseen photographs by names alone.
         raise InputError(f"{folder}: of an earlier version: evaluate on people again, or remove it")
     return record
 
 
-def success_on_people(record: dict) -> float | None:
-    """Average an entry's success on people in photographs; None where nobody measured it."""
-    rates = [told["logo"]["success"] for told in record.get("people", {}).get("detectors", {}).values()]
-    return round(float(np.mean(rates)), 4) if rates else None
-
-
-def success(record: dict) -> float | None:
-    """Average an entry's success over the detectors that its evaluation asked."""
-    rates = [told["logo"]["success"] for told in record["evaluation"]["detectors"].values()]
+def mean_success(judged: dict) -> float | None:
+    """Average success over the detectors that an evaluation in a record asked; None where there is none."""
+    rates = [told["logo"]["success"] for told in judged.get("detectors", {}).values()]
     return round(float(np.mean(rates)), 4) if rates else None
 
 
@@ -261,14 +242,10 @@ def _run_of(name: str) -> Path:
     if folder is not None:
         run = folder / place
         try:
-            return run if _is_there(run) else found.write_run(run)
+            return run if (run / "colors.npy").exists() else found.write_run(run)
         except InputError as error:
-            if _is_there(run):  # another process was quicker
+            if (run / "colors.npy").exists():  # another process was quicker
                 return run
             _log.warning("%s: entries of the zoo are not kept (%s)", folder, error)
     _TEMPORARY.append(tempfile.TemporaryDirectory(prefix="cloak-zoo-"))
     return found.write_run(Path(_TEMPORARY[-1].name) / place)
-
-
-def _is_there(run: Path) -> bool:
-    return (run / "colors.npy").exists()

@@ -38,6 +38,7 @@ def test_help_is_a_command_too(line, same, capsys) -> None:
         ("scene inof", "unknown command 'scene inof'; did you mean scene info?"),
         ("train --stpes 3 --logo chest --out x", "train: unknown option --stpes; did you mean --steps? (cloak train"),
         ("train --tv_wieght=3 --logo chest --out x", "unknown option --tv-wieght; did you mean --tv-weight?"),
+        ("train --tensorboard --logo chest --out x", "train: this version has no --tensorboard; use --log tensorboard"),
         ("train --zzzz --logo chest --out x", "train: unknown option --zzzz (cloak train --help)"),
         ("train --steps abc --logo chest --out x", "train: --steps: 'abc' is not a whole number (cloak train --help)"),
         ("train --seed None --logo chest --out x", "--seed: 'None' is not a whole number"),

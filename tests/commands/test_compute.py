@@ -7,14 +7,9 @@ import pytest
 import torch
 
 from cloak_core.cli import parse
-from cloak_core.commands.demo import Demo
-from cloak_core.commands.evaluate import Evaluate
 from cloak_core.commands.options import chosen_device, prepare_process
-from cloak_core.commands.train import Train
 from cloak_core.core.settings.components import ComputeSettings
-from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies.trained_run import kept_back
 from cloak_core.studies.trainings.training import train
 from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
@@ -51,33 +46,6 @@ def test_training_leaves_the_process_as_it_was(tmp_path, threads, monkeypatch):
     assert torch.get_num_threads() == threads and threads + 7 not in asked
 
 
-@pytest.mark.parametrize("command", ["Train", "Evaluate", "Demo", "Check", "Heatmap", "Reproduce"])
-def test_commands_prepare_their_process_before_anything_else(command, tmp_path, monkeypatch):
-    from cloak_core.commands import detectors, logo, options, reproduce
-    from cloak_core.core.settings import make_settings
-
-    wanted = ComputeSettings(threads=3)
-    made = {
-        "Train": lambda: Train.of(make_settings("best", threads=3), scene="s", logo=tmp_path, out=tmp_path),
-        "Evaluate": lambda: Evaluate(run_folder=tmp_path, compute=wanted),
-        "Demo": lambda: Demo(out=tmp_path, compute=wanted),
-        "Check": lambda: detectors.Check(spec="builtin", compute=wanted),
-        "Heatmap": lambda: logo.Heatmap(scene="s", detector="builtin", out=tmp_path, compute=wanted),
-        "Reproduce": lambda: reproduce.Reproduce(name="all", compute=wanted),
-    }[command]()
-
-    class Prepared(Exception):
-        pass
-
-    def prepare(settings):
-        assert settings == wanted
-        raise Prepared
-
-    monkeypatch.setattr(options, "prepare_process", prepare)
-    with pytest.raises(Prepared):
-        made.run()
-
-
 def test_what_was_kept_back_is_known_either_way():
     directly = {"scene": "sample:train", "backgrounds": "procedural:train:64"}
     through_blender = directly | {"scene": "/runs/demo.input/scene", "made_from": "sample:train"}
@@ -90,33 +58,6 @@ def test_what_was_kept_back_is_known_either_way():
         kept_back("scene", {"inputs": {"people": "people.json"}})
     with pytest.raises(InputError, match="--scene: say what to evaluate on"):
         kept_back("scene", {"inputs": {"scene": "/runs/demo.input/scene"}})
-
-
-def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp_path, monkeypatch, capsys):
-    """As a demo through Blender leaves it."""
-    from cloak_core import cli
-    from cloak_core.core.logo import select_region
-    from cloak_core.exchange.face_lists import write_face_list
-
-    bodies = sample_bodies("train")
-    write_scene(tmp_path / "scene", bodies.select_poses([0]))
-    write_face_list(tmp_path / "logo.npy", select_region(bodies, "chest"), bodies.topology)
-    run = tmp_path / "run"
-    words = ["--scene", tmp_path / "scene", "--made-from", "sample:train", "--logo", tmp_path / "logo.npy"]
-    words += ["--out", run, "--steps", 1, "--batch", 1, "--size", 64, "--translation", 5, "--samples", 1]
-    words += ["--angles", 0, "--backgrounds", "procedural:train:1", "--preview-every", 0]
-    cli.parse("train", [*map(str, words)]).run()
-    assert json.loads((run / "config.json").read_text())["inputs"]["made_from"] == "sample:train"
-
-    class Opened(Exception):
-        pass
-
-    def load_scene(spec):
-        raise Opened(spec)
-
-    monkeypatch.setattr("cloak_core.library.load_scene", load_scene)
-    with pytest.raises(Opened, match="sample:unseen"):
-        Evaluate(run_folder=run).run()
 
 
 class FakeCuda:

@@ -37,8 +37,7 @@ from tests.sources.photographs.made_people import write_people
 pytestmark = pytest.mark.slow
 SIZE, IMAGES = 96, 2
 FREE = {"angles": "0..360", "distance": "2:2.5", "noise": 0.0, "contrast": "1", "brightness": "0"}
-# What a fit does not know is drawn by training alone.
-SETTINGS = tiny_settings(size=SIZE, batch=IMAGES, samples=16, people_loose=0.0, people_light=0.0, **FREE)
+SETTINGS = tiny_settings(size=SIZE, batch=IMAGES, samples=16, **FREE)
 BACKGROUNDS = noise_backgrounds()
 CLOTHS = {"large squares": (5, 5), "small squares": (100, 100), "chest": (30, 25)}
 """Rows and columns of 25 cm."""
@@ -85,9 +84,16 @@ def laid(pattern: Pattern, view: BakedView) -> Pattern:
     return fixed
 
 
+@pytest.fixture(autouse=True)
+def exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a fit does not know is drawn by training alone."""
+    monkeypatch.setattr(photographs, "LOOSE", 0.0)
+    monkeypatch.setattr(photographs, "LIGHT", 0.0)
+
+
 def trained_on(shown: str, fits: Fits) -> Source:
     if shown == "people":
-        return photographs.PeopleSource(fits, SIZE, SETTINGS.photographs)
+        return photographs.PeopleSource(fits, SIZE)
     return BodySource.trained(BODIES, SETTINGS.views)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.core import black_box
 from cloak_core.core.black_box import EVERY, queries_after, steps_within
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.events import read_events
@@ -28,14 +29,19 @@ class Asked(Detector):
         return Detections(scores.new_zeros(*scores.shape, 4), scores)
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Few questions move the colours far."""
+    monkeypatch.setattr(black_box, "QUERY_LR", 0.1)
+
+
 HOW = {"batch": 4, "steps": None, "epochs": 1, "noise": 0.0, "preview_every": 0, "checkpoint_every": 0}
 
 
 @pytest.mark.slow
 def test_a_search_lowers_the_score_with_no_more_images_than_allowed(tmp_path):
     detector = Asked()
-    how = HOW | {"query_lr": 0.1}
-    result = run(tmp_path / "run", [detector], black_box_queries=203, angles="0", translation=0, **how)
+    result = run(tmp_path / "run", [detector], black_box_queries=203, angles="0", translation=0, **HOW)
     assert detector.images == result.queries == queries_after(result.step, 4) <= 203 < queries_after(result.step + 1, 4)
     rounds = [event for event in read_events(tmp_path / "run" / "events.jsonl") if event["type"] == "round"]
     assert len(rounds) == len(result.curve) == -(-result.step // EVERY)
@@ -119,7 +125,7 @@ class Blue(Detector):
         return Detections(scores.new_zeros(*scores.shape, 4), scores)
 
 
-SHORT = HOW | {"black_box_queries": 68, "angles": "0", "translation": 0, "query_lr": 0.1}
+SHORT = HOW | {"black_box_queries": 68, "angles": "0", "translation": 0}
 
 
 def _loss_reached(path, **more):

@@ -54,8 +54,8 @@ def slope(kind, score, **more):
 @pytest.mark.parametrize("point", [0.05, 0.25, 0.6, 0.9])
 def test_the_margin_pulls_down_to_the_operating_point_and_beyond(point):
     at, below = (slope("margin", p, operating_point=point) for p in (point, point / (1 + point)))
-    odds = point / (1 - point) * math.exp(-4)
-    assert slope("margin", odds / (1 + odds), operating_point=point, margin=4.0) == pytest.approx(0.5, abs=1e-4)
+    odds = point / (1 - point) * math.exp(-1)
+    assert slope("margin", odds / (1 + odds), operating_point=point) == pytest.approx(0.5, abs=1e-4)
     assert 0.7 < at < 0.75  # sigmoid(1), whatever the point is
     assert slope("margin", 0.999, operating_point=point) > 0.95
     assert 0 < below < at

@@ -9,7 +9,6 @@ from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.logo import load_logo
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import make_settings
-from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.source import Mixture
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.faces import FacePattern
@@ -68,7 +67,7 @@ class DrawsAlone(BodyPlan):
 def people_sampler(count: int, poses: int = 1, outfits: int = 1, **changes) -> Sampler:
     """Draws of bodies and of `count` people, without a pixel of them."""
     chosen = settings(**changes)
-    people = PeopleSource([object.__new__(Fit)] * count, 64, chosen.photographs, chosen.run.seed)
+    people = PeopleSource([object.__new__(Fit)] * count, 64, chosen.run.seed)
     people.identity = None  # of pixels, too
     mixed = Mixture(DrawsAlone(chosen.views, poses, outfits), people, chosen.photographs.people_share, chosen.run.seed)
     return Sampler(chosen, mixed, 5)
@@ -96,7 +95,7 @@ def test_without_people_nothing_is_drawn_otherwise():
 
 def test_a_framing_keeps_most_of_the_person(fits):
     for seed in range(50):
-        framing = draw_framing(np.random.default_rng(seed), fits[0], PeopleSettings(), 64)
+        framing = draw_framing(np.random.default_rng(seed), fits[0], 64)
         x0, y0, x1, y1 = framing.box(fits[0].person.box)
         inside = (min(x1, 64) - max(x0, 0)) * (min(y1, 64) - max(y0, 0))
         assert inside > 0.7 * (x1 - x0) * (y1 - y0)
@@ -104,7 +103,7 @@ def test_a_framing_keeps_most_of_the_person(fits):
 
 def test_views_depend_on_person_and_seed_alone(fits):
     pattern = FacePattern(load_logo(load_scene("sample[0:1]"), region="shirt"))
-    source = PeopleSource(fits, 64, PeopleSettings())
+    source = PeopleSource(fits, 64)
     one, same, other = (source.view({"person": 0}, seed, pattern) for seed in (5, 5, 6))
     assert one.box == same.box != other.box and one.stream == same.stream
     values = torch.rand(one.map.width, 3)

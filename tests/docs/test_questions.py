@@ -17,8 +17,6 @@ LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#{1,4} (.+)$", re.MULTILINE)
 MOST = 3
-PACE = 238
-"""Words a minute at which adults read English non-fiction (Brysbaert, Journal of Memory and Language, 2019)."""
 QUESTIONS = {
     "how do I test my YOLO": ("docs/howto/own-detector.md", "Test a YOLO, or any other file"),
     "what does it cost me to harden it": ("docs/hardening.md", "What it costs, and what still gets through"),
@@ -91,29 +89,6 @@ def test_a_question_is_answered_in_three_clicks(question: str) -> None:
     name, heading = QUESTIONS[question]
     way = way_to(ROOT / name, heading, clicks(HOME))
     assert 0 < len(way) <= MOST, f"{question}? {' > '.join(way)}"
-
-
-def test_clicks_are_counted(tmp_path: Path) -> None:
-    (tmp_path / "a.md").write_text("# A\n[b](b.md) [x](https://x.y/b.md)\n```\n[d](d.md)\n```\n")
-    (tmp_path / "b.md").write_text("# B\n## More of it\n[c](c.md#far-down) [a](a.md)\n")
-    (tmp_path / "c.md").write_text("# C\n## Far down\n## Farther\n")
-    (tmp_path / "d.md").write_text("# D\n")
-    ways = clicks(tmp_path / "a.md")
-    lengths = {
-        (name, heading): len(way_to(tmp_path / f"{name}.md", heading, ways))
-        for name, heading in (("b", "B"), ("b", "More of it"), ("c", "Far down"), ("c", "Farther"))
-    }
-    assert list(lengths.values()) == [1, 2, 2, 3]
-    with pytest.raises(AssertionError, match="no link"):
-        way_to(tmp_path / "d.md", "D", ways)
-    with pytest.raises(AssertionError, match="no heading"):
-        way_to(tmp_path / "c.md", "Near", ways)
-
-
-def test_the_page_on_hardening_reads_in_five_minutes() -> None:
-    text = LINK.sub(lambda link: link[0].partition("](")[0], (ROOT / "docs" / "hardening.md").read_text("utf-8"))
-    words = [word for word in text.split() if re.search(r"\w", word)]  # cells of tables and commands, too
-    assert len(words) / PACE <= 5
 
 
 def test_every_option_that_is_gone_stands_beside_what_replaces_it() -> None:

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from cloak_core.files.caching import MemoryCache
-from cloak_core.sources.backdrops.backgrounds import Backgrounds
 
 
 def test_the_least_recently_used_go_first() -> None:
@@ -67,25 +66,3 @@ def test_threads_that_put_the_same_things_count_them_once() -> None:
     assert not wrong
     held = [item for key in range(60) if (item := cache.get(key)) is not None]
     assert cache.bytes == sum(item.nbytes for item in held) <= cache.limit
-
-
-def test_backgrounds_drawn_by_several_threads() -> None:
-    """Each waits for the other inside the drawing, so both put the same image."""
-    meeting = threading.Barrier(2)
-
-    def draw(index: int, height: int, width: int) -> np.ndarray:
-        meeting.wait(120)
-        return np.full((height, width, 3), index, np.uint8)
-
-    backgrounds = Backgrounds(["a", "b"], draw)
-
-    def look() -> None:
-        for index in range(2):
-            assert int(backgrounds.image(index, (8, 16))[0, 0, 0]) == index
-
-    threads = [threading.Thread(target=look) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert backgrounds._cache.bytes == 2 * 8 * 16 * 3

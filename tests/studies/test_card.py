@@ -13,9 +13,7 @@ import pytest
 import torch
 
 from cloak_core.cli import main
-from cloak_core.commands import progress as progress_module
 from cloak_core.commands.assess import Assess
-from cloak_core.commands.progress import WorkProgress
 from cloak_core.core.logo import area_share
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.detectors.loading import load_detector
@@ -368,9 +366,3 @@ def test_progress_counts_what_was_done_and_what_is_left(tmp_path: Path, monkeypa
     assert told == [0, 15, 60, 70, 80, 90, 100, 100, 100, 125] and work.total == 200
     spent = json.loads((tmp_path / "spent.json").read_text())
     assert spent["done"] == ["a"] and spent["seconds"].keys() == {"a", "b"}
-    clock = iter([0.0, 0.0, 0.001, 10.0])
-    monkeypatch.setattr(progress_module, "time", SimpleNamespace(monotonic=lambda: next(clock)))
-    progress = WorkProgress(silent=True)
-    for done in (0.0, 100.0, 150.0):  # the first hundred were found done; fifty took ten seconds
-        progress("a", done, 200.0)
-    assert progress.left(200.0) == pytest.approx(10.0, rel=0.01)

@@ -236,7 +236,7 @@ def test_bad_lists_are_refused_in_one_line(tmp_path: Path) -> None:
 def test_the_command_says_what_the_contract_promises(
     tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(judge_command.Judge, "load_all", lambda self, specs: [Painted() for _ in specs])
+    monkeypatch.setattr(judge_command.Judge, "load", lambda self, spec: Painted())
     for side, color in (("with", GREEN), ("without", BLUE)):
         paint(tmp_path / side / "1.png", (color,))
     with pytest.raises(SystemExit) as end:

@@ -134,9 +134,6 @@ class LossSettings:
     """What is minimised of an image's surest box: score, of the person; objectness, where person is the likeliest
     class; log, which is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score
     lies above the detector's own operating point, in logits."""
-    margin: NotNegative = 1.0
-    """For --loss margin: logits below the operating point at which half of the gradient is left. A larger margin hides
-    from more of the detectors that training never saw."""
     ensemble: Literal["mean", "adaptive"] = "mean"
     """How the losses of several detectors are combined: their mean, or adaptive, by how surely each detector found a
     person lately."""
@@ -216,9 +213,7 @@ class OptimizerSettings:
     momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
     """For sgd and mi, in [0, 1)."""
     schedule: Literal["constant", "step", "cosine"] = "step"
-    """Learning rate over time: constant, times 0.1 every --lr-epochs (step), or a cosine that ends at 1 %."""
-    lr_epochs: Positive = 10.0
-    """With --schedule step: epochs between drops."""
+    """Learning rate over time: constant, times 0.1 every ten epochs (step), or a cosine that ends at 1 %."""
     gamut: Literal["projection", "sigmoid"] = "projection"
     """How colours stay in [0, 1]: projection after every update, or the sigmoid of free parameters."""
     initial: Literal[("grey", "random", "clothing", "animal", *PRINTS)] = "grey"
@@ -260,5 +255,3 @@ class QuerySettings:
     (--init). Steps, optimiser and loss have no effect then. None trains by gradients."""
     query_change: Annotated[float, Bounds(0, 1, "(]")] = 0.1
     """How far a query moves the colours to either side, in units of colour [0, 1]."""
-    query_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.02
-    """How far the colours follow the estimated gradient in each update, in units of colour [0, 1]."""

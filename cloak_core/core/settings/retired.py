@@ -10,7 +10,7 @@ from cloak_core.files.errors import InputError
 
 @dataclass(frozen=True)
 class Retired:
-    """An option that was removed because it did not help."""
+    """An option that was removed because it did not help, or nobody gave it another value."""
 
     off: tuple[object, ...] | None = (0,)
     """Values that changed nothing; None: all, because another option switched it on."""
@@ -27,13 +27,23 @@ RETIRED: dict[str, Retired] = {
     "held_out_every": Retired(None),
     "hard_views": Retired(instead="--angles LOW..HIGH, which shows all sides evenly"),
     "jpeg": Retired((None,)),
+    "lr_epochs": Retired((10, 10.0)),
+    "margin": Retired((1, 1.0)),
     "occluders": Retired(instead="--cutout"),
     "patience": Retired(instead="--steps"),
+    "people_context": Retired(("1.1:2", "1.1:2.0")),
+    "people_light": Retired((0.3,)),
+    "people_loose": Retired((0.02,)),
+    "people_mirror": Retired((0.5,)),
+    "people_shift": Retired((0.1,)),
+    "people_soft": Retired((0.8,)),
     "photometric_on": Retired(("logo",)),
+    "query_lr": Retired((0.02,)),
     "random_depth": Retired(instead="--shake"),
     "reduce": Retired(("max",)),
     "rpn_weight": Retired(),
     "sharpness": Retired(),
+    "tensorboard": Retired((False,), instead="--log tensorboard"),
     "tint": Retired(),
     "wrinkle_draws": Retired(None),
     "wrinkles": Retired(instead="--scene sample-clothed:train, or a simulated garment"),
@@ -48,7 +58,5 @@ def without_retired(record: dict[str, object]) -> dict[str, object]:
         retired = RETIRED[name]
         if retired.off is not None and record[name] not in retired.off:
             replaced = f"; use {retired.instead}" if retired.instead else ""
-            raise InputError(
-                f"{option(name)} {record[name]}: this version has no such option, it did not help{replaced}"
-            )
+            raise InputError(f"{option(name)} {record[name]}: this version has no such option{replaced}")
     return {name: value for name, value in record.items() if name not in RETIRED}

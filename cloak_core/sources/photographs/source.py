@@ -12,7 +12,6 @@ from jaxtyping import Int, Int64
 
 from cloak_core.core.cameras import Number
 from cloak_core.core.pattern import Pattern
-from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
 from cloak_core.files.errors import InputError
@@ -32,6 +31,20 @@ from cloak_core.sources.photographs.views import (
 
 _ORDER = 4
 """Stream of random numbers, apart from those of `core.sampling`."""
+
+
+SIDE = (1.1, 2.0)
+"""Of an image that trains, in heights of the person's box; as all below drawn uniformly for each image."""
+SHIFT = 0.1
+"""The person may stand anywhere that keeps her in the image, and be cut by up to this share of her height."""
+MIRRORED = 0.5
+"""Share of the photographs that are mirrored."""
+LOOSE = 0.02
+"""Faces lie off their fitted places by up to this many heights of the person, and are stretched by twice that."""
+LIGHT = 0.3
+"""Exposure of the cloak in the photograph changes by up to this share, the depth of folds by twice as much."""
+SOFT = 0.8
+"""The resampling kernel is wider by up to this much: softer lenses, lower resolution."""
 _CLOTH = 1
 """Stream of random numbers of an image, beside the one of framing and looseness."""
 
@@ -48,16 +61,15 @@ class PeopleSource:
         self,
         fits: Sequence[Fit],
         size: int,
-        settings: PeopleSettings | None = None,
         seed: int = 0,
         context: Number = CONTEXT,
         device: torch.device | str = "cpu",
     ) -> None:
-        """settings: of a training; seed: of the run, which decides in which order people are shown.
+        """seed: of the run, which decides in which order people are shown.
 
         context: side of the images that judge, in heights of the person's box.
         """
-        self.fits, self.size, self.settings, self.seed, self.context = fits, size, settings, seed, context
+        self.fits, self.size, self.seed, self.context = fits, size, seed, context
         self.works_on = torch.device(device)
         self._last: tuple[int, np.ndarray] = -1, np.zeros(0, np.int64)
         self._positions: dict[str, Int64[np.ndarray, " T"]] = {}
@@ -100,8 +112,8 @@ class PeopleSource:
         if seed is None:
             return photograph_view(*place, framing_of(fit, self.context, self.size), device=self.works_on)
         random = np.random.default_rng([seed, person])
-        framing = draw_framing(random, fit, self.settings, self.size)
-        jitter = draw_jitter(random, self.settings)
+        framing = draw_framing(random, fit, self.size)
+        jitter = draw_jitter(random)
         view = photograph_view(*place, framing, jitter, self.works_on)
         return replace(view, stream=(seed, person, _CLOTH))
 
@@ -122,24 +134,23 @@ def fit_wearers(people: People, patterns: Iterable[Pattern]) -> tuple[People, Fi
     return those_who_fit(fitting, fits, UNCOVERED), fits
 
 
-def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings, size: int) -> Framing:
+def draw_framing(random: np.random.Generator, fit: Fit, size: int) -> Framing:
     """A square about the person that keeps her box nearly whole, moved into the photograph where it fits there."""
     x0, y0, x1, y1 = fit.person.box
     tall = max(y1 - y0, x1 - x0)
-    side = tall * random.uniform(settings.people_context.low, settings.people_context.high)
+    side = tall * random.uniform(*SIDE)
     away = random.uniform(-1, 1, 2)
-    mirror, softness = bool(random.random() < settings.people_mirror), 1 + random.uniform(0, settings.people_soft)
+    mirror, softness = bool(random.random() < MIRRORED), 1 + random.uniform(0, SOFT)
 
     def start(low: Number, high: Number, move: Number) -> Number:
-        free = max(side - (high - low), 0) / 2 + settings.people_shift * tall
+        free = max(side - (high - low), 0) / 2 + SHIFT * tall
         return (low + high - side) / 2 + move * min(free, 0.5 * side)
 
     return Framing(*square_at(fit, start(x0, x1, away[0]), start(y0, y1, away[1]), side), side, size, mirror, softness)
 
 
-def draw_jitter(random: np.random.Generator, settings: PeopleSettings) -> FitJitter:
+def draw_jitter(random: np.random.Generator) -> FitJitter:
     """Draw what the fit may have got wrong."""
-    far, light = settings.people_loose, settings.people_light
-    move, stretch = random.uniform(-far, far, 2), 1 + random.uniform(-2 * far, 2 * far, 2)
-    folds, exposure = 1 + random.uniform(-2 * light, 2 * light), 1 + random.uniform(-light, light / 2)
+    move, stretch = random.uniform(-LOOSE, LOOSE, 2), 1 + random.uniform(-2 * LOOSE, 2 * LOOSE, 2)
+    folds, exposure = 1 + random.uniform(-2 * LIGHT, 2 * LIGHT), 1 + random.uniform(-LIGHT, LIGHT / 2)
     return FitJitter(tuple(move.tolist()), tuple(stretch.tolist()), max(folds, 0.0), exposure)

@@ -207,7 +207,7 @@ class Pool:
         source = self.source.planned(plan, settings.views.camera(0.0, 0.0, 1.0))
         if self.people:
             size, seed = self.settings.size, settings.run.seed
-            people = PeopleSource(self.people, size, settings.photographs, seed, device=self.device)
+            people = PeopleSource(self.people, size, seed, device=self.device)
             source = Mixture(source, people, settings.photographs.people_share, seed)
         sampler = Sampler(settings, source, len(self.backgrounds))
         return Batcher(settings, sampler, self.backgrounds, pattern, self.device)

@@ -124,7 +124,7 @@ def make_material(training: Training, device: torch.device) -> Material:
     fits = Fits.of(training.people)
     if not fits:
         return Material(bodies, training.backgrounds)
-    people = PeopleSource(fits, settings.views.size, settings.photographs, settings.run.seed, device=device)
+    people = PeopleSource(fits, settings.views.size, settings.run.seed, device=device)
     mixed = Mixture(bodies, people, settings.photographs.people_share, settings.run.seed)
     return Material(mixed, training.backgrounds)
 

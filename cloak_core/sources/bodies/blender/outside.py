@@ -20,7 +20,6 @@ from cloak_core.files.reading import MAX_TEXT_BYTES, read_npz, read_text
 from cloak_core.sources.bodies.meshes.mesh_file import MeshFile, to_srgb
 
 ROOT = Path(__file__).resolve().parents[4]
-ADD_ON = ROOT / "blender_addon"
 # The bpy package may wait for ever at a regular exit.
 PROBE = "import os, bpy; os._exit(0)"
 IN_BACKGROUND = ("-b", "--factory-startup", "-P")
