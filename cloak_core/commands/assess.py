@@ -26,11 +26,8 @@ if TYPE_CHECKING:
 class Assess(Splitting, Detecting, Sharing):
     """Measure how robust detectors are, by a fixed protocol: a card for each.
 
-    A card is figures and one page that opens offline; of several detectors, a page compares them. Counts are fixed, so
-    that cards of one size compare on any machine; how long it takes is said before it begins.
-
-    What is there already is not done again: a stopped call goes on with the same command. Without any SPEC the pages
-    and the leaderboard are written again from the cards in --out.
+    A card is figures and a page that opens offline. The same command goes on where it stopped; without any SPEC the
+    pages and the leaderboard are written again from the cards in --out.
     """
 
     example = "builtin --quick --out cards"
@@ -40,8 +37,8 @@ class Assess(Splitting, Detecting, Sharing):
     out: Path
     """Folder for NAME/card.json, NAME/card.html and NAME/card.md, and card.html over all detectors."""
     size: Literal["quick", "standard", "full"] | None = None
-    """quick: the largest cloak alone, about ten minutes where a forward and backward take 100 ms an image; standard
-    (the default): four areas and all around, about an hour; full: longer attacks, three seeds each, and many images."""
+    """quick: the largest cloak, ten minutes at 100 ms an image; standard (default): four areas, an hour; full: three
+    seeds."""
     quick: bool = False
     """--size quick."""
     full: bool = False
@@ -49,11 +46,9 @@ class Assess(Splitting, Detecting, Sharing):
     minutes: float | None = None
     """For each card, take the largest size that fits into this number of minutes on this machine."""
     people: str | None = None
-    """People in photographs, as in cloak wear: they wear the largest cloak, another detector's and the patterns, and
-    come first."""
+    """People in photographs, who wear the largest cloak, another detector's and the patterns."""
     patterns: tuple[str, ...] = ()
-    """Published patterns to wear: FILE.png, as cloth 0.25 m wide, FILE.png@tile=METRES, FILE.png@patch=METRES, or a
-    folder with patterns.toml."""
+    """Published patterns to wear: FILE.png[@tile=METRES | @patch=METRES], or a folder with patterns.toml."""
     logo: str | None = None
     """Regions that patterns cover, shirt+trousers+hood (default: shirt and trousers)."""
     zoo: UseAppendAction[tuple[str, ...]] = ()
@@ -63,8 +58,7 @@ class Assess(Splitting, Detecting, Sharing):
     leaderboard: Path | None = None
     """Markdown file that takes a table of all cards in --out."""
     gate: Path | None = None
-    """TOML file with bounds on figures of card.json, in tables [min] and [max] (clean.recall_own = 0.95); exit code 1
-    where one is broken."""
+    """TOML file of bounds on figures of card.json, [min] and [max]; exit code 1 where one is broken."""
     junit: Path | None = None
     """JUnit XML file of the bounds in --gate, for CI."""
 

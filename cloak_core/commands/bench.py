@@ -174,8 +174,7 @@ class Accuracy(Bench):
     scene: str
     """Scene folder, .npz, or sample."""
     only: UseAppendAction[tuple[str, ...]] = ()
-    """Some of bench, distant, close-up, million, shell-5mm, shell-1mm, shell-0.1mm, garment, hair, cards, soup
-    (default: all)."""
+    """Some of bench, distant, close-up, million, shell-5mm, shell-1mm, shell-0.1mm, garment, hair, cards, soup."""
     threads: int = 2
     """Threads torch and the peers may use."""
     repeats: int = 10
@@ -191,19 +190,15 @@ class Accuracy(Bench):
 
 @dataclass(kw_only=True)
 class Growth(Photographed, Bench):
-    """Measure how time and memory grow: triangles, views, pixels, samples, people, detectors, squares of a cloth.
-
-    Exponents of at most 1.05 are the aim.
-    """
+    """Measure how time and memory grow; exponents of at most 1.05 are the aim."""
 
     example = "--only triangles --quick"
     then = "bench stability"
 
     only: UseAppendAction[tuple[str, ...]] = ()
-    """Some of triangles, views, pixels, samples, detectors, squares, people (default: all, people where --people
-    names some)."""
+    """Some of triangles, views, pixels, samples, detectors, squares, people (which needs --people)."""
     people: str | None = None
-    """COCO file of people in photographs, of whom 100 to 10,000 others are made: scaled and recoloured."""
+    """People in photographs, of whom 100 to 10,000 others are made."""
     most: int | None = None
     """Leave out larger sizes than this."""
     quick: bool = False
@@ -225,10 +220,7 @@ class Growth(Photographed, Bench):
 
 @dataclass(kw_only=True)
 class Gpu(Photographed, Bench):
-    """Measure on a CUDA device what only one can tell, in one record.
-
-    Without a device it says which parts were not run, and counts the operations of a new view.
-    """
+    """Measure on a CUDA device what only one can tell, in one record."""
 
     example = "--out gpu.json"
 

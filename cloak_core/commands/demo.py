@@ -24,10 +24,7 @@ HARDER = {"loss": "log", "tv_weight": 1.0}
 
 @dataclass(kw_only=True)
 class Demo(Computing):
-    """Train, evaluate and report a cloak for the sample bodies in one go.
-
-    A chest-and-thighs logo against the built-in detector.
-    """
+    """Train, evaluate and report a cloak for the sample bodies, against the built-in detector."""
 
     example = "--out runs/demo"
     then = "zoo list"

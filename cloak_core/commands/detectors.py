@@ -21,10 +21,9 @@ LOW = 0.1
 
 @dataclass(kw_only=True)
 class Check(Detecting):
-    """Show what a detector says of a photograph, or of clean renders.
+    """Show what a detector says of a photograph, of clean renders, or of people in photographs.
 
-    Or of people in photographs (--people). Of `masked=SIDE:SPEC` it also says the certified recall: people whom no
-    patch of SIDE pixels can hide.
+    Of `masked=SIDE:SPEC` also the certified recall: people whom no patch of SIDE pixels can hide.
     """
 
     example = "builtin --image person.jpg --out seen.png"
@@ -144,8 +143,7 @@ class Verify(Detecting):
     renders: int = 4
     """Renders of the sample bodies to ask about."""
     against: str | None = None
-    """Detector that they are to agree with, the same network in another form (default: the file's own runtime, or the
-    network as it was trained)."""
+    """The same network in another form, to agree with (default: the file's own runtime, or the network as trained)."""
     events: Path | None = None
     """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
 

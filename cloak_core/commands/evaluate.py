@@ -26,24 +26,19 @@ class Evaluate(AboutRun, Photographed, Detecting):
     next_why = "one page with pictures"
 
     colors: str | None = None
-    """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map,
-    FILE.png@tile=0.5 (cloth that repeats, its width in metres), print:balls@tile=0.25 (a plain print), another run, or
-    zoo:NAME; written to RUN/evaluation-NAME."""
+    """Other colours on the run's logo, into RUN/evaluation-NAME: FILE.npy, a picture on the UV map,
+    FILE.png@tile=METRES, print:NAME@tile=METRES, another run, or zoo:NAME."""
     logo: str | None = None
-    """Regions (shirt+trousers+hood) or a face list that a cloth or picture covers instead of the run's logo; written to
-    RUN/evaluation-LOGO."""
+    """Regions or a face list that a cloth or picture covers instead of the run's logo; into RUN/evaluation-LOGO."""
     profile: Path | None = None
-    """Profile of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print
-    --profile`, the nearest that can where they cannot; written to RUN/evaluation-printed."""
+    """Profile (`cloak calibrate`): judge the colours as `cloak print --profile` prints them; into
+    RUN/evaluation-printed."""
     out: Path | None = None
-    """Folder for the evaluation (default: RUN/evaluation; another evaluation that is there is replaced, with a warning;
-    one of the same content is not made again)."""
+    """Folder for the evaluation, which replaces another one there (default: RUN/evaluation)."""
     people: str | None = None
-    """Judge on people in photographs instead: a COCO file with masks and landmarks; into RUN/evaluation-people. Angles,
-    distances and the like are the photographs' own; --colors takes FILE.png@patch=0.3 as well."""
+    """Judge on people in photographs instead, into RUN/evaluation-people; --colors takes FILE.png@patch=METRES, too."""
     over_time: bool = False
-    """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png (with --people
-    curve-people)."""
+    """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png."""
     scene: str | None = None
     """Bodies to judge on: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
     backgrounds: str | None = None

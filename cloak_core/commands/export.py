@@ -15,10 +15,7 @@ from cloak_core.core.settings.values import Angles
 
 @dataclass(kw_only=True)
 class Coco(AboutRun, Computing):
-    """Write renders of a run as a data set in COCO's format.
-
-    Every image is written in own clothing, and cloaked.
-    """
+    """Write renders of a run as a data set in COCO's format, each in own clothing and cloaked."""
 
     example = "runs/first --out dataset"
 

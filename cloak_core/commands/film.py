@@ -20,8 +20,6 @@ from cloak_core.files.writing import require_new
 class Film(AboutRun, Detecting):
     """Film a trained cloak in motion beside its own clothing.
 
-    Told are the frames hidden, the longest visible run, the distance of the first sight, and tracks.
-
     The scene's poses in their order are the motion, again and again; the background stays as it is.
     """
 
@@ -32,8 +30,7 @@ class Film(AboutRun, Detecting):
     out: Path
     """NAME.mp4 (extra film), NAME.gif, or a new folder for PNGs; every frame's figures stand beside it as .json."""
     scene: str | None = None
-    """The motion: scene folder, .npz, sample-clothed:unseen, or sample:unseen (the default after training on
-    sample:train)."""
+    """The motion: scene folder, .npz, sample-clothed:unseen, or sample:unseen (default: kept back from training)."""
     colors: str | None = None
     """Film these colours on the run's logo instead, as in cloak evaluate."""
     logo: str | None = None

@@ -29,36 +29,30 @@ MOST_HOURS = 10_000
 class Harden(Photographed, Computing):
     """Harden a detector against cloaks, by adversarial fine-tuning without labels.
 
-    The result is a detector of the same format. Give photographs (--photos) and people in photographs (--people) if
-    you have them: from renders alone the detector learns less about real scenes and real people.
-
-    Ctrl-C, or a file named `cancel` in --out, ends it after the current step with everything in place (exit code 3);
-    the same command with --resume goes on from there.
+    The result is a detector of the same format. Give --photos and --people where you have them: renders alone teach
+    less. Ctrl-C, or a file `cancel` in --out, ends it in order (exit code 3); --resume goes on.
     """
 
     example = "builtin --steps 300 --out hardened"
     next_why = "cloaks that are trained against it anew judge it"
 
     spec: Positional[str]
-    """Detector to harden: builtin, onnx:FILE, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE], ultralytics:FILE.pt or
+    """Detector: builtin, onnx:FILE, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE], ultralytics:FILE.pt,
     python:FILE:FUNCTION."""
     out: Path
     """Folder to write; a new one unless --resume."""
     resume: bool = False
     """Continue the hardening in --out from its last checkpoint."""
     hours: float | None = None
-    """Hours that the hardening may take. A few updates are timed, and --steps is set to fill that time; a line says how
-    many updates that are. The cards come on top (--no-assess leaves them out)."""
+    """Hours that it may take, cards aside: a few updates are timed, and --steps is set to fill that time."""
     scene: str = "sample:train"
     """Bodies in cloaks: scene folder, .npz, or sample[:train]."""
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     photos: str | None = None
-    """Folder of photographs, with people or without, as they are and with patterned cloth drawn into them: the detector
-    is to keep what it reported there. No labels are needed."""
+    """Folder of photographs, with people or without, in which the detector is to keep what it reported."""
     people: str | None = None
-    """People in photographs, as in cloak wear: they wear the cloaks, too, and are to be reported as in their own
-    clothes."""
+    """People in photographs, who wear the cloaks, too."""
     assess: bool = True
     """Leave out the robustness cards of the detector before and after in OUT/cards (twenty minutes)."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)

@@ -20,9 +20,8 @@ from cloak_core.files.errors import InputError
 class Judge(Detecting):
     """Judge photographs and videos of people with and without a cloak.
 
-    DIR has with/ and without/, PERSON/SCENE/file inside as far as that is known, and where there are some, nobody/ and
-    control garments; or pictures.csv, which says who is in which picture. A person whom the clean picture misses is
-    never a success.
+    DIR has with/ and without/, PERSON/SCENE/file inside where known, and perhaps nobody/ and control garments; or
+    pictures.csv. Only people who are found in the clean picture can be hidden.
     """
 
     example = "photographs --detector builtin"

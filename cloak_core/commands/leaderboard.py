@@ -14,11 +14,9 @@ from cloak_core.files.errors import InputError
 
 @dataclass(kw_only=True)
 class Add(Detecting):
-    """Check robustness cards and put them into a leaderboard's folder.
+    """Check robustness cards, every figure by the rows beside it, and put them into a leaderboard's folder.
 
-    Checked are format, protocol, size, versions and digests, and every figure is computed again from the rows beside
-    the card. A card is written anew, into a folder named by its content, and replaces the one of the same detector and
-    size. Nothing is written where one of the cards does not hold.
+    A card replaces the one of the same detector and size. Where one does not hold, nothing is written.
     """
 
     example = "cards/builtin --to leaderboard"
@@ -49,10 +47,7 @@ class Add(Detecting):
 
 @dataclass(kw_only=True)
 class Build(Command):
-    """Check every card of a leaderboard's folder again, and write its page and table.
-
-    index.html opens offline, sorts by any column and filters; each row leads to its card.
-    """
+    """Check every card of a leaderboard's folder again, and write its page (index.html, offline) and table."""
 
     example = "leaderboard"
 

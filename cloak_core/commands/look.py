@@ -27,9 +27,9 @@ class Look(Detecting):
     example = "request.json --detector builtin"
 
     request: Positional[Path]
-    """JSON: scene, out (a folder), and where they differ from the defaults logo, colors, cloth, pose, outfit, azimuth,
-    elevation, distance, field_of_view, pivot, width, height, backgrounds, background. A minus sign: one such object a
-    line from standard input, until that ends; answers, and what is wrong with a request, go to its OUT/look.json."""
+    """JSON: scene, out (a folder), and any of logo, colors, cloth, pose, outfit, azimuth, elevation, distance,
+    field_of_view, pivot, width, height, backgrounds, background. -: one such object a line from standard input; answers
+    go to OUT/look.json."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to look with; builtin where none is named."""
 

@@ -80,8 +80,7 @@ class DetectorOptions:
     """How detectors are loaded and run."""
 
     person_class: str | None = None
-    """Name or index of the class to look for, where it is not called person; SPEC@person=CLASS for one of several
-    detectors."""
+    """Name or index of the class to look for (default: person); SPEC@person=CLASS for one of several detectors."""
     precision: Literal["float32", "bfloat16", "auto"] = "float32"
     """bfloat16 runs detectors under autocast (faster on GPUs, rough gradients); auto uses it where the device gains."""
     compile: bool = False
@@ -169,11 +168,9 @@ class Splitting(Photographed):
     scene: str = "sample"
     """Bodies: scene folder, .npz, or sample."""
     unseen: str | None = None
-    """Bodies to judge on (default: every second one of --scene in every second outfit, or the sample bodies kept
-    back)."""
+    """Bodies to judge on (default: every second one of --scene in every second outfit, or samples kept back)."""
     people: str | None = None
-    """People in photographs, a COCO file with masks and landmarks: those of every second photograph are trained on, the
-    others judge instead of renders."""
+    """People in photographs: those of every second photograph are trained on, the others judge instead of renders."""
     backgrounds: str = "procedural"
     """Folder of images without people, or procedural."""
     unseen_backgrounds: str | None = None

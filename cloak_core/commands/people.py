@@ -17,8 +17,7 @@ from cloak_core.commands.sharing import executor_of
 class Fit(Command):
     """Fit the body to people in photographs ahead of need, and count them.
 
-    Trainings, evaluations and `cloak wear` do so on their own; here it is done once, by all cores or by many machines.
-    Fits are found again by content, in the cache (CLOAK_CACHE).
+    Other commands do so on their own; fits are found again by content, in the cache (CLOAK_CACHE).
     """
 
     example = "people.json"
@@ -28,8 +27,7 @@ class Fit(Command):
     images: Path | None = None
     """Folder of the photographs (default: beside the file, or images/ beside it)."""
     ray: str | None = None
-    """Have a Ray cluster fit (extra ray): local for this machine, or an address (auto, HOST:6379, ray://HOST:10001)
-    whose machines see the photographs by the same names (default: all cores here)."""
+    """Have a Ray cluster fit: local, or an address (auto, HOST:6379, ray://HOST:10001) (default: all cores here)."""
 
     def run(self) -> dict:
         from cloak_core.sources.photographs.fits import fit_people, those_who_fit

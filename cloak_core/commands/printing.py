@@ -16,10 +16,7 @@ from cloak_core.sources.bodies.opening import load_scene
 
 @dataclass(kw_only=True)
 class Print(AboutRun):
-    """Lay a logo out flat at true size, as sheets to print and cut (PDF).
-
-    Beside the sheets: the texture, and the body with it (GLB, OBJ).
-    """
+    """Lay a logo out flat at true size, as sheets to print and cut (PDF), with its texture and body (GLB, OBJ)."""
 
     example = "runs/first --out sheets"
 
@@ -40,8 +37,7 @@ class Print(AboutRun):
     palette: Path | None = None
     """Palette file (as of `cloak train --palette`) of the colours there are; --project then leaves no others."""
     profile: Path | None = None
-    """Profile of the printer and a camera (`cloak calibrate`): the sheets then have the colours to send so that the
-    run's come out."""
+    """Profile (`cloak calibrate`): the sheets have the colours to send so that the run's come out."""
 
     def run(self) -> dict:
         from cloak_core.exchange.profiles import read_profile
@@ -96,7 +92,7 @@ def told(report: dict) -> list[str]:
 class Calibrate(Command):
     """Measure which colours a printer and a camera make: a profile.
 
-    First --chart, to print as the cloak will be printed; then its photograph (or measured patches) with --measured.
+    First --chart, to print as the cloak will be; then its photograph (or measured patches) with --measured.
     """
 
     example = "--measured photo.jpg --out printer.npz"
@@ -104,8 +100,7 @@ class Calibrate(Command):
     chart: Path | None = None
     """Write the chart here (.pdf, or .png for services that take no PDF), and a .csv of its patches beside it."""
     measured: UseAppendAction[tuple[Path, ...]] = ()
-    """A photograph of the printed chart (several are averaged), a .csv of measured patches, or the printer's ICC
-    profile (.icc, .icm)."""
+    """Photographs of the printed chart (averaged), a .csv of measured patches, or an ICC profile (.icc, .icm)."""
     out: Path | None = None
     """Profile to write (.npz)."""
 

@@ -52,8 +52,8 @@ COMPANIONS = {".xml": (".bin",), ".npy": (".json",), ".onnx": (".json", ".onnx.d
 class Remote(Command):
     """Run a command of cloak on another machine.
 
-    The files that the command's options name are sent once, links followed, nothing else; what it writes comes back.
-    With --save, a program is written that does so with whatever it is given, for Blender to train with.
+    The files that its options name are sent once, links followed, nothing else; what it writes comes back. --save
+    writes a program that does so with whatever it is given, for Blender to train with.
     """
 
     example = '--machine "ssh gpu-box" -- train --logo chest --out runs/first'

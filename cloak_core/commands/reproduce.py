@@ -28,10 +28,7 @@ PARTS = 8
 
 @dataclass(kw_only=True)
 class Reproduce(Splitting, Computing, Sharing):
-    """Run one of the paper's experiments, or all of them.
-
-    Numbers and figures go to --out.
-    """
+    """Run one of the paper's experiments, or all of them, into --out."""
 
     example = "table1 --quick --out runs/reproduce"
 

@@ -68,10 +68,8 @@ class Writes(Command):
 
 @dataclass(kw_only=True)
 class Import(Writes):
-    """Make a scene from posed or animated meshes of one topology.
-
-    Files: .obj, .glb, .ply, .npz; with Blender also .abc and .usd.
-    """
+    """Make a scene from posed or animated meshes of one topology: .obj, .glb, .ply, .npz; with Blender .abc and
+    .usd."""
 
     example = "pose1.obj pose2.obj --out scene"
 
@@ -127,10 +125,7 @@ class ImportSmpl(Writes):
 
 @dataclass(kw_only=True)
 class ImportAnny(Writes):
-    """Draw bodies of random adult shapes and poses from Anny (extra `anny`).
-
-    They have the sample bodies' mesh.
-    """
+    """Draw bodies of random adult shapes and poses from Anny (extra `anny`), with the sample bodies' mesh."""
 
     example = "--count 64 --seed 1 --out scene"
 
@@ -139,8 +134,8 @@ class ImportAnny(Writes):
     seed: int = 0
     """Same seed, same bodies."""
     poses: str = "natural"
-    """natural (standing, walking, running, waving in turn), stand, walk, run or wave; or a file of Anny's own
-    pose_parameters [P, 104, 4, 4] (.npy, .npz)."""
+    """natural (all in turn), stand, walk, run or wave; or a file of Anny's pose_parameters [P, 104, 4, 4] (.npy,
+    .npz)."""
     subdivide: int = 0
     """Levels of midpoint subdivision."""
 

@@ -25,10 +25,7 @@ GIGABYTES, GIGABYTES_WITHOUT_TORCH = 6.0, 0.6
 
 @dataclass(kw_only=True)
 class Setup(Command):
-    """Say what this trainer is; with --into, make an environment that has one.
-
-    The environment is filled by pip, from the index that pip is configured for.
-    """
+    """Say what this trainer is; with --into, make an environment that has one, filled by pip."""
 
     example = "--into ~/cloak --source ."
 

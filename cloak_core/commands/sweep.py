@@ -18,14 +18,10 @@ from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
 @dataclass(kw_only=True)
 class Sweep(Sharing):
-    """Train every combination of a grid of settings.
+    """Train every combination of a grid of settings; what is done already is skipped.
 
-    What is done already is skipped.
-
-    The grid is a TOML file: [base] has what all runs share, [grid] a list of values for each name that varies; names
-    are those of `cloak train` (scene, logo, detector, backgrounds, preset and every setting). --ray shares the runs out
-    among many processes or machines. Figures are of training, the mean over a run's last tenth: evaluate what looks
-    good.
+    The grid is a TOML file: [base] has what all runs share, [grid] a list of values for each name that varies, as in
+    `cloak train`. Figures are of training, the mean over a run's last tenth: evaluate what looks good.
     """
 
     example = "grid.toml --out sweep"

@@ -37,8 +37,7 @@ from cloak_core.files.writing import is_taken
 class Train(Photographed, Detecting):
     """Train a logo's face colours until detectors no longer report the person.
 
-    Ctrl-C, or a file named `cancel` in the run folder, ends the run after the current step with everything in place
-    (exit code 3); the same command with --resume goes on from there.
+    Ctrl-C, or a file `cancel` in the run folder, ends the run in order (exit code 3); --resume goes on from there.
     """
 
     example = "--scene sample:train --logo chest+thighs --detector builtin --out runs/first"
@@ -51,8 +50,7 @@ class Train(Photographed, Detecting):
     scene: str | None = None
     """Bodies to train on: scene folder, .npz, or sample:train (the default without --people)."""
     people: str | None = None
-    """People in photographs to train on, beside or instead of --scene: a COCO file with masks and landmarks;
-    PEOPLE.json[0::2] takes every second photograph."""
+    """People in photographs, beside or instead of --scene; PEOPLE.json[0::2] takes every second photograph."""
     logo: Path
     """Faces to colour: a face list (.npy) from Blender or `cloak logo`, or regions of the scene, chest+thighs."""
     detector: UseAppendAction[tuple[str, ...]] = ()
@@ -68,16 +66,14 @@ class Train(Photographed, Detecting):
     resume: bool = False
     """Continue the run in --out from its last checkpoint."""
     extend: int | None = None
-    """Make the run in --out longer by this number of updates: a new run, RUN-STEPS, from its last checkpoint; the other
-    options as they were."""
+    """Make the run in --out longer by this number of updates: a new run, RUN-STEPS; other options as they were."""
     config: Path | None = None
     """TOML file of settings, named as the options without dashes; options on the command line win."""
     log: UseAppendAction[tuple[Log, ...]] = ()
-    """Also hand curves and previews to tensorboard (files in RUN/tensorboard), mlflow or wandb (where their own
-    settings say); each is an extra."""
+    """Also hand curves and previews to tensorboard (RUN/tensorboard), mlflow or wandb; each is an extra."""
     preset: Preset = "best"
-    """Settings to start from: paper (the paper's text), reference (its code), best (against these detectors), transfer
-    (for detectors that training never saw, with several --detector), photographs (the default with --people)."""
+    """Settings to start from: paper (its text), reference (its code), best (against these detectors), transfer (for
+    others, with several --detector), photographs (the default with --people)."""
     length: Annotated[OmitArgPrefixes[RunSettings], arg(name="the run")]
     views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]
     augmentation: Annotated[OmitArgPrefixes[AugmentationSettings], arg(name="augmentation")]

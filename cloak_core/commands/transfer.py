@@ -27,12 +27,9 @@ CIRCLE_IMAGES = 240
 
 @dataclass(kw_only=True)
 class Transfer(Splitting, Detecting, Sharing):
-    """Train without each detector in turn; the one left out judges.
+    """Train without each detector in turn; the one left out judges: a matrix for each ablation (--rungs).
 
-    The result is the leave-one-out matrix, for each ablation (--rungs).
-
-    Every training is a run folder under --out and is made once: the same command goes on where it stopped, also after
-    --budget-minutes (exit code 3), and several calls with one --out fill one matrix.
+    Trainings are made once: the same command goes on where it stopped, also after --budget-minutes (exit code 3).
     """
 
     example = "--detector onnx:a.onnx --detector onnx:b.onnx --detector onnx:c.onnx --out matrix"
@@ -46,15 +43,14 @@ class Transfer(Splitting, Detecting, Sharing):
     out: Path
     """Folder for runs, evaluations, cells and the table; what is there already is not done again."""
     rungs: tuple[str, ...] = ("recipe",)
-    """What to train: best, recipe (preset transfer), a technique alone upon best (score, smooth, animal, window,
-    adaptive, cutout, blur, shake, mi, views), +NAME for all up to it, or ladder."""
+    """What to train: best, recipe (preset transfer), a technique upon best (score, smooth, animal, window, adaptive,
+    cutout, blur, shake, mi, views), +NAME for all up to it, or ladder."""
     strangers_only: bool = False
     """Also leave detectors of the judged one's family out of its surrogates."""
     kin: UseAppendAction[tuple[str, ...]] = ()
     """PART_OF_A_SPEC=FAMILY, where names do not tell the family (all YOLOs are one, and all R-CNNs)."""
     circle: bool = False
-    """Train and judge all around: 36 azimuths, elevations 0 to 30 degrees, 1.4 to 6 m (default: azimuths -10..10, 6
-    degrees, 2.2 m)."""
+    """Train and judge all around, 1.4 to 6 m away (default: azimuths -10..10, elevation 6 degrees, 2.2 m)."""
     steps: int | None = None
     """Updates of a training (default: what the rung's preset says)."""
     seeds: int = 1

@@ -27,22 +27,19 @@ class Wear(Detecting):
     example = "zoo:builtin-sample --people people.json --detector builtin --out worn"
 
     colors: Positional[tuple[str, ...]]
-    """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats, its width in metres; auto: the width that
-    hides best), FILE.png@patch=0.3 (a patch on the chest). '*.png@tile=0.5' is every such file; a folder with
-    patterns.toml is every pattern that it lists. print:balls is a plain print to compare with (cloak train --initial
-    lists them all); @flipped at the end wears a cloth or picture upside down."""
+    """A run, zoo:NAME, FILE.png@tile=METRES (cloth; auto: the width that hides best), FILE.png@patch=METRES (on the
+    chest), '*.png@tile=0.5', a folder with patterns.toml, or a plain print (print:balls); @flipped at the end is upside
+    down."""
     people: str
     """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
     images: Path | None = None
     """Folder of the photographs (default: beside the file, or images/ beside it)."""
     logo: str | None = None
-    """What cloths, pictures and controls cover: regions (shirt+trousers+cap, hood, scarf or head) or a face list
-    (default: what a run was trained on, else shirt+trousers); a patch stays on the chest."""
+    """What cloths, pictures and controls cover: regions or a face list (default: a run's own, else shirt+trousers)."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors that judge."""
     width_people: str | None = None
-    """With @tile=auto: people on whom the width is chosen, in photographs that do not judge (--images is their folder,
-    too)."""
+    """With @tile=auto: people on whom the width is chosen, and who do not judge."""
     width_detector: UseAppendAction[tuple[str, ...]] = ()
     """With @tile=auto: detectors that the width is chosen on, and that do not judge."""
     out: Path | None = None

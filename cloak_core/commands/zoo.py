@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class List(Command):
-    """List the zoo: trained colours that come with Cloak.
-
-    zoo:NAME stands for a run folder wherever one is taken (evaluate, print, --init, --colors).
-    """
+    """List the zoo: trained colours that come with Cloak; zoo:NAME stands for a run folder wherever one is taken."""
 
     def run(self) -> dict:
         from cloak_core.zoo.entry import entry, mean_success, shelved
@@ -88,10 +85,9 @@ class Show(Command):
 
 @dataclass(kw_only=True)
 class Reproduce(Computing):
-    """Judge entries again as their records say.
+    """Judge entries again as their records say, beside the recorded figures.
 
-    The new figures stand beside the recorded ones. What does not ship (detectors, scenes, photographs) is looked for
-    where you say; entries whose files are not there are left out, and named.
+    Entries whose detectors, scenes or photographs are not there are left out, and named.
     """
 
     example = "builtin-sample"
@@ -152,10 +148,7 @@ class Reproduce(Computing):
 
 @dataclass(kw_only=True)
 class Export(Command):
-    """Write an entry as a run folder, or as a .glb of a body that wears it.
-
-    A run folder has colors.npy, logo.npy and config.json.
-    """
+    """Write an entry as a run folder, or as a .glb of a body that wears it."""
 
     example = "builtin-sample --format glb --out cloak.glb"
 

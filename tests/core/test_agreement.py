@@ -113,7 +113,7 @@ def test_training_and_judging_draw_the_same_images(shown: str, fits: Fits, monke
         if shown == "people":
             person, seed = number(draws, i), int(draws.seed[i])
             random = np.random.default_rng([seed, person])
-            framing = photographs.draw_framing(random, fits[person], SETTINGS.photographs, SIZE)
+            framing = photographs.draw_framing(random, fits[person], SIZE)
             monkeypatch.setattr(photographs, "framing_of", lambda *_, framing=framing: framing)
             images = people_images(fits, BACKGROUNDS, WearSettings(size=SIZE))
         else:

@@ -29,7 +29,7 @@ class Asked(Detector):
         return Detections(scores.new_zeros(*scores.shape, 4), scores)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def quick(monkeypatch):
     """Few questions move the colours far."""
     monkeypatch.setattr(black_box, "QUERY_LR", 0.1)
@@ -39,7 +39,7 @@ HOW = {"batch": 4, "steps": None, "epochs": 1, "noise": 0.0, "preview_every": 0,
 
 
 @pytest.mark.slow
-def test_a_search_lowers_the_score_with_no_more_images_than_allowed(tmp_path):
+def test_a_search_lowers_the_score_with_no_more_images_than_allowed(tmp_path, quick):
     detector = Asked()
     result = run(tmp_path / "run", [detector], black_box_queries=203, angles="0", translation=0, **HOW)
     assert detector.images == result.queries == queries_after(result.step, 4) <= 203 < queries_after(result.step + 1, 4)
@@ -135,7 +135,7 @@ def _loss_reached(path, **more):
 
 
 @pytest.mark.slow
-def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_path):
+def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_path, quick):
     alone = _loss_reached(tmp_path / "alone")
     led = _loss_reached(tmp_path / "led", query_prior=[Blue()])
     contrary = _loss_reached(tmp_path / "contrary", query_prior=[Blue(-1)])
@@ -145,7 +145,7 @@ def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_p
 
 
 @pytest.mark.slow
-def test_a_prior_gives_gradients_and_leads_a_search_alone(tmp_path):
+def test_a_prior_gives_gradients_and_leads_a_search_alone(tmp_path, quick):
     with pytest.raises(InputError, match="--query-prior asked: gives no gradients"):
         run(tmp_path / "a", [Asked()], black_box_queries=68, query_prior=[Asked()], **HOW)
     with pytest.raises(InputError, match="only leads a search"):

@@ -44,8 +44,8 @@ class EvaluateSettings(RenderOptions):
     size: Annotated[int, Bounds(16, 4096)] = 416
     """Width and height of the images, pixels."""
     cycles: Literal["matching", "studio", "sky"] | None = None
-    """Bodies as Blender's Cycles renders them in this light (needs bpy): our model's own, lamps in a room, or sun and
-    sky. In their first outfit, from one distance and elevation; into RUN/evaluation-LIGHT."""
+    """Bodies as Blender's Cycles renders them (needs bpy), in our light, a room's or the sky's; into
+    RUN/evaluation-LIGHT."""
     shift: Annotated[int, Bounds()] = 50
     """The body is moved by up to this many pixels along both axes, as in training; 0 keeps it in the middle."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
@@ -87,11 +87,11 @@ class FilmSettings(RenderOptions):
     """How to film. The defaults are the paper's camera and threshold."""
 
     camera: str = "still"
-    """still, orbit (--turns around), approach (from --far to --near), or FILE.csv of keyframes: time in seconds, and
-    azimuth, elevation (degrees), distance (metres) as far as they move; linear in between."""
+    """still, orbit (--turns), approach (--far to --near), or FILE.csv of keyframes: time, azimuth, elevation,
+    distance."""
     angles: Angles = Angles((0.0,))
-    """Azimuths at which a take begins, in degrees: A:B:STEP or a comma list. Of several takes the first is the film;
-    all are counted."""
+    """Azimuths at which a take begins, degrees: A:B:STEP or a comma list; the first take is the film, all are
+    counted."""
     elevation: Annotated[float, Bounds(-90, 90)] = 6.0
     """Camera elevation, degrees."""
     distance: Positive = 2.2
@@ -148,8 +148,7 @@ class JudgeSettings:
     most_frames: Annotated[int, Bounds(1)] = 50
     """Look at no more than this many frames of one video, from its beginning."""
     longest: Annotated[int, Bounds(32, 8192)] = 1280
-    """Larger pictures are reduced to so many pixels along their longer side, by averaging, before a detector sees
-    them."""
+    """Larger pictures are first reduced to this many pixels along their longer side, by averaging."""
     resamples: Annotated[int, Bounds(100)] = RESAMPLES
     """Bootstrap resamples behind each interval."""
 
@@ -191,8 +190,7 @@ class StoreOptions:
     preset: Preset = "best"
     """Training preset."""
     steps: UseAppendAction[tuple[int, ...]] = ()
-    """Updates of a training, once for all or once for each --detector, in their order (default: 150 with --quick, else
-    what the preset says)."""
+    """Updates of a training, once or for each --detector in order (default: 150 with --quick, else the preset's)."""
     seeds: int | None = None
     """Repetitions of every training, each with another seed (default: 1 with --quick, else 3)."""
     seed: int = 0
