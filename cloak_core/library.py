@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from cloak_core.core.evaluation.measure import OnProgress
     from cloak_core.core.evaluation.settings import FilmSettings, WearSettings
     from cloak_core.core.pattern import Pattern
-    from cloak_core.sources.photographs.fitting import Fit
 
 T = TypeVar("T")
 Named = str | os.PathLike
@@ -81,11 +80,13 @@ def train(
     settings = _either(settings, changes, make_settings)
     if people is None and scene is None:
         raise InputError("--scene: none given, and no --people")
+    from cloak_core.sources.photographs.fits import fit_people
+
     named = {"scene": scene, "logo": logo, "backgrounds": backgrounds, "people": people}
-    fits = _fitted(people)
+    fits = [] if people is None else fit_people(_photographed(people))
     if scene is None:
         scene, settings = "sample:train", settings.changed(people_share=1.0)
-    bodies = scene if isinstance(scene, Bodies) else load_scene(scene)
+    bodies = _bodies(scene)
     return train_logo(
         settings,
         bodies,
@@ -148,15 +149,14 @@ def evaluate(
     from cloak_core.studies.opening import open_run, printed, snapshot_pattern
 
     settings = _either(settings, changes, EvaluateSettings)
-    folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
-    config = read_run(folder)
+    folder, config = _opened(run)
     if over_time and (profile is not None or settings.cycles is not None):
         raise InputError(
             "--over-time: judges snapshots as they are, in our own renders: without --profile and --cycles"
         )
     judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
     if people is None:
-        bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
+        bodies = _bodies(scene or kept_back("scene", config))
         pattern, trained, name = open_run(folder, config, colors, bodies, logo)
         behind = _backdrops(backgrounds or kept_back("backgrounds", config))
         angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
@@ -166,8 +166,9 @@ def evaluate(
         if scene is not None or settings.cycles is not None:
             raise InputError("--people: photographs are what is judged on: without --scene and --cycles")
         pattern, trained, name = open_run(folder, config, colors, logo=logo)
-        shown = people if isinstance(people, People) else load_people(people)
-        show = partial(study.show_people, people=shown, backgrounds=_backdrops(backgrounds or "procedural:test"))
+        show = partial(
+            study.show_people, people=_photographed(people), backgrounds=_backdrops(backgrounds or "procedural:test")
+        )
         place, curve = study.PEOPLE_FOLDER, "curve-people"
     parts = [place, name, "printed" if profile is not None else "", settings.cycles or ""]
     target = folder / "-".join(part for part in parts if part) if out is None else Path(out)
@@ -194,6 +195,20 @@ def _backdrops(backgrounds: Backgrounds | Named) -> Backgrounds:
     return backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds)
 
 
+def _photographed(people: People | Named, images: Named | None = None) -> People:
+    return people if isinstance(people, People) else load_people(people, images)
+
+
+def _bodies(scene: Bodies | Named) -> Bodies:
+    return scene if isinstance(scene, Bodies) else load_scene(scene)
+
+
+def _opened(run: RunResult | Named) -> tuple[Path, dict]:
+    """Find a run's folder and read its record. InputError: no finished run."""
+    folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
+    return folder, read_run(folder)
+
+
 @plain_torch()
 def film(
     run: RunResult | Named,
@@ -217,9 +232,8 @@ def film(
     from cloak_core.studies.film import make_film
     from cloak_core.studies.opening import open_run
 
-    folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
-    config = read_run(folder)
-    bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
+    folder, config = _opened(run)
+    bodies = _bodies(scene or kept_back("scene", config))
     pattern, _, _ = open_run(folder, config, colors, bodies, logo)
     behind = _backdrops(backgrounds or kept_back("backgrounds", config))
     judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
@@ -262,10 +276,8 @@ def wear(
     settings = _either(settings, changes, WearSettings)
     given = [os.fspath(color) for color in ([colors] if isinstance(colors, str | os.PathLike) else colors)]
     scenes = _backdrops(backgrounds)
-    judging = (people if isinstance(people, People) else load_people(people, images), _by_name(detectors, device))
-    choosing = None
-    if width_people is not None:
-        choosing = width_people if isinstance(width_people, People) else load_people(width_people, images)
+    judging = (_photographed(people, images), _by_name(detectors, device))
+    choosing = None if width_people is None else _photographed(width_people, images)
     choosers = _by_name(width_detectors, device) if len(width_detectors) else {}
     colors, widths = choose_widths(given, choosing, choosers, judging, scenes, settings, on_progress, logo)
     more = {"widths": widths} if widths else None
@@ -281,15 +293,6 @@ def _stopping(on_event: OnEvent, out: Path) -> OnEvent:
             (out / "cancel").touch()
 
     return listener
-
-
-def _fitted(people: People | Named | None) -> Sequence[Fit]:
-    """Fit bodies to the people, or find them in the cache."""
-    if people is None:
-        return []
-    from cloak_core.sources.photographs.fits import fit_people
-
-    return fit_people(people if isinstance(people, People) else load_people(people))
 
 
 def _either(settings: T | None, changes: dict, make: Callable[..., T]) -> T:

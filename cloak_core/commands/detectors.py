@@ -8,7 +8,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from cloak_core.commands.base import Command, out
-from cloak_core.commands.options import Detecting
+from cloak_core.commands.options import Detecting, Photographed, Watched
 from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Angles
 from cloak_core.files.errors import InputError
@@ -20,7 +20,7 @@ LOW = 0.1
 
 
 @dataclass(kw_only=True)
-class Check(Detecting):
+class Check(Photographed, Detecting):
     """Show what a detector says of a photograph, of clean renders, or of people in photographs.
 
     Of `masked=SIDE:SPEC` also the certified recall: people whom no patch of SIDE pixels can hide.
@@ -46,8 +46,6 @@ class Check(Detecting):
     """With --scene: every random draw derives from it."""
     patterns: bool = False
     """With --scene: also show it patterned cloth that nobody wears, before the backgrounds."""
-    people: str | None = None
-    """People in photographs, as in cloak wear; the photographs lie beside the file."""
 
     def run(self) -> dict:
         self.prepare()
@@ -63,10 +61,9 @@ class Check(Detecting):
             detector = self.load(self.spec)
             return check_image(detector, self.image, threshold=self.threshold, out=self.out)
         if self.people is not None:
-            from cloak_core.sources.photographs.people import load_people
             from cloak_core.studies.clean import check_people
 
-            return check_people(self.load(self.spec), load_people(self.people))
+            return check_people(self.load(self.spec), self.load_people())
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
@@ -128,7 +125,7 @@ def operating_point(report: dict) -> str:
 
 
 @dataclass(kw_only=True)
-class Verify(Detecting):
+class Verify(Watched):
     """Check that detectors are read rightly and keep the protocol.
 
     Exit code 1 where a check fails.
@@ -144,8 +141,6 @@ class Verify(Detecting):
     """Renders of the sample bodies to ask about."""
     against: str | None = None
     """The same network in another form, to agree with (default: the file's own runtime, or the network as trained)."""
-    events: Path | None = None
-    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
 
     def run(self) -> dict:
         self.prepare()

@@ -10,7 +10,7 @@ from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.commands.base import Command, out, share, table
-from cloak_core.commands.options import AboutRun, Detecting, Photographed
+from cloak_core.commands.options import OnUnseen, Photographed, Watched
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_people
 from cloak_core.core.detector import THRESHOLD
@@ -19,7 +19,7 @@ from cloak_core.core.settings.values import Angles
 
 
 @dataclass(kw_only=True)
-class Evaluate(AboutRun, Photographed, Detecting):
+class Evaluate(OnUnseen, Photographed, Watched):
     """Measure a trained cloak on unseen bodies and backgrounds, beside controls."""
 
     example = "runs/first"
@@ -39,16 +39,10 @@ class Evaluate(AboutRun, Photographed, Detecting):
     """Judge on people in photographs instead, into RUN/evaluation-people; --colors takes FILE.png@patch=METRES, too."""
     over_time: bool = False
     """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png."""
-    scene: str | None = None
-    """Bodies to judge on: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
-    backgrounds: str | None = None
-    """Folder of images, or procedural:test (the default after training on procedural:train)."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to judge with (default: those it was trained against)."""
     angles: Angles = Angles.parse("-10:10:1")
     """Azimuths in degrees: A:B:STEP or a comma list."""
-    events: Path | None = None
-    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
     settings: Annotated[OmitArgPrefixes[EvaluateSettings], arg(name="evaluation")] = field(
         default_factory=EvaluateSettings
     )

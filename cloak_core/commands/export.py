@@ -7,24 +7,20 @@ from pathlib import Path
 from typing import Literal
 
 from cloak_core.commands.base import out
-from cloak_core.commands.options import AboutRun, Computing
+from cloak_core.commands.options import Computing, OnUnseen
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.settings.values import Angles
 
 
 @dataclass(kw_only=True)
-class Coco(AboutRun, Computing):
+class Coco(OnUnseen, Computing):
     """Write renders of a run as a data set in COCO's format, each in own clothing and cloaked."""
 
     example = "runs/first --out dataset"
 
     out: Path
     """New folder: images/ and annotations.json."""
-    scene: str | None = None
-    """Bodies: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
-    backgrounds: str | None = None
-    """Folder of images, or procedural:test (the default after training on procedural:train)."""
     angles: Angles = Angles.parse("-10:10:5")
     """Azimuths in degrees: A:B:STEP or a comma list."""
     format: Literal["jpg", "png"] = "jpg"

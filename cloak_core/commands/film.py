@@ -10,14 +10,14 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from cloak_core.commands.base import out, share, table
-from cloak_core.commands.options import AboutRun, Detecting
+from cloak_core.commands.options import OnUnseen, Watched
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import FilmSettings
 from cloak_core.files.writing import require_new
 
 
 @dataclass(kw_only=True)
-class Film(AboutRun, Detecting):
+class Film(OnUnseen, Watched):
     """Film a trained cloak in motion beside its own clothing.
 
     The scene's poses in their order are the motion, again and again; the background stays as it is.
@@ -29,18 +29,12 @@ class Film(AboutRun, Detecting):
 
     out: Path
     """NAME.mp4 (extra film), NAME.gif, or a new folder for PNGs; every frame's figures stand beside it as .json."""
-    scene: str | None = None
-    """The motion: scene folder, .npz, sample-clothed:unseen, or sample:unseen (default: kept back from training)."""
     colors: str | None = None
     """Film these colours on the run's logo instead, as in cloak evaluate."""
     logo: str | None = None
     """Regions or a face list that a cloth or picture covers, as in cloak evaluate."""
-    backgrounds: str | None = None
-    """Folder of images, or procedural:test (the default after training on procedural:train); a take has one."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to watch with (default: those it was trained against)."""
-    events: Path | None = None
-    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
     settings: Annotated[OmitArgPrefixes[FilmSettings], arg(name="film")] = field(default_factory=FilmSettings)
 
     def run(self) -> dict:

@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from cloak_core.commands.base import Command, out
-from cloak_core.commands.options import Detecting
+from cloak_core.commands.options import Watched
 from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Angles
 from cloak_core.exchange.bodies import Bodies
@@ -55,10 +55,7 @@ class Select(Command):
             raise InputError("logo select: give either --region or --box")
         require_new(self.out)
         bodies = load_scene(self.scene)
-        if self.region is not None:
-            ids = select_region(bodies, self.region)
-        else:
-            ids = select_box(bodies, parse_box(self.box), self.facing)
+        ids = select_box(bodies, parse_box(self.box), self.facing) if self.box else select_region(bodies, self.region)
         return write_logo(self.out, bodies, ids)
 
     show = staticmethod(show_logo)
@@ -100,18 +97,14 @@ class Project(Command):
             raise InputError("logo project: give either --text or --mask")
         require_new(self.out)
         bodies = load_scene(self.scene)
-        placed = {"height": self.height, "center": self.center}
-        if self.text is not None:
-            ids = project_text(bodies, self.text, **placed)
-        else:
-            ids = project_mask(bodies, self.mask, **placed)
-        return write_logo(self.out, bodies, ids)
+        project, ink = (project_mask, self.mask) if self.text is None else (project_text, self.text)
+        return write_logo(self.out, bodies, project(bodies, ink, height=self.height, center=self.center))
 
     show = staticmethod(show_logo)
 
 
 @dataclass(kw_only=True)
-class Heatmap(Detecting):
+class Heatmap(Watched):
     """Measure how much each face moves a detector's person score."""
 
     example = "--scene sample:train --detector builtin --pick 0.2 --out heat.npy"
@@ -130,8 +123,6 @@ class Heatmap(Detecting):
     """Also take the most sensitive faces, this share of the body's area (0.2 = 20 %), into a face list."""
     logo: Path | None = None
     """Where --pick writes its face list (default: beside the heat map, NAME-pick.npy)."""
-    events: Path | None = None
-    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
 
     def run(self) -> dict:
         from cloak_core.core.geometry import face_areas

@@ -130,6 +130,14 @@ class Detecting(Computing):
 
 
 @dataclass(kw_only=True)
+class Watched(Detecting):
+    """A command that tells a program how far it is."""
+
+    events: Path | None = None
+    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
+
+
+@dataclass(kw_only=True)
 class AboutRun(Command):
     """A command about a run, or an entry of the zoo."""
 
@@ -143,6 +151,16 @@ class AboutRun(Command):
 
         folder = run_path(self.run_folder)
         return folder, read_run(folder)
+
+
+@dataclass(kw_only=True)
+class OnUnseen(AboutRun):
+    """A command that shows a run on bodies and backgrounds that its training never saw."""
+
+    scene: str | None = None
+    """Bodies: scene folder, .npz, or sample:unseen (default: what was kept back of the scene that trained)."""
+    backgrounds: str | None = None
+    """Folder of images, or procedural:test (default: what was kept back of those that trained)."""
 
 
 @dataclass(kw_only=True)

@@ -67,7 +67,33 @@ class Writes(Command):
 
 
 @dataclass(kw_only=True)
-class Import(Writes):
+class Imports(Writes):
+    """A command that reads bodies, and may give them a finer mesh, another UV map and textures."""
+
+    subdivide: int = 0
+    """Levels of midpoint subdivision (1 splits every triangle and quad in four)."""
+    texture: UseAppendAction[tuple[Path, ...]] = ()
+    """Picture on the mesh's UV map, or folder of pictures; one outfit each, instead of the file's own."""
+    uv: Path | None = None
+    """Take the UV map from this file: .obj of the same mesh, or .npz with vt and ft."""
+
+    def read(self) -> Bodies:
+        raise NotImplementedError
+
+    def bodies(self) -> Bodies:
+        from cloak_core.sources.bodies.meshes.subdivision import subdivide
+        from cloak_core.sources.bodies.meshes.textures import dress_in_textures, read_textures, with_uv_of
+
+        bodies = self.read()
+        if self.uv is not None:
+            bodies = with_uv_of(bodies, self.uv)
+        if self.texture:
+            bodies = dress_in_textures(bodies, read_textures(self.texture))
+        return subdivide(bodies, self.subdivide)[0]
+
+
+@dataclass(kw_only=True)
+class Import(Imports):
     """Make a scene from posed or animated meshes of one topology: .obj, .glb, .ply, .npz; with Blender .abc and
     .usd."""
 
@@ -75,27 +101,19 @@ class Import(Writes):
 
     files: Positional[tuple[Path, ...]]
     """One mesh file per pose, or animated files."""
-    subdivide: int = 0
-    """Levels of midpoint subdivision (1 splits every triangle and quad in four)."""
     scale: float | None = None
     """Metres in one unit of the files, 0.01 for centimetres (default: metres, refused where heights make no sense)."""
     frames: int = 0
     """Take this many moments of each animated file as poses (default: the resting pose)."""
-    texture: UseAppendAction[tuple[Path, ...]] = ()
-    """Picture on the mesh's UV map, or folder of pictures; one outfit each, instead of the file's own."""
-    uv: Path | None = None
-    """Take the UV map from this file (.obj of the same mesh, or .npz with vt and ft)."""
 
-    def bodies(self) -> Bodies:
+    def read(self) -> Bodies:
         from cloak_core.sources.bodies.meshes.importing import import_bodies
-        from cloak_core.sources.bodies.meshes.subdivision import subdivide
 
-        bodies = import_bodies(self.files, self.out.name, scale=self.scale, frames=self.frames)
-        return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
+        return import_bodies(self.files, self.out.name, scale=self.scale, frames=self.frames)
 
 
 @dataclass(kw_only=True)
-class ImportSmpl(Writes):
+class ImportSmpl(Imports):
     """Make a scene from your own SMPL, SMPL+H or SMPL-X model and poses."""
 
     example = "--model SMPL_NEUTRAL.npz --poses walk.npz --every 10 --out scene"
@@ -108,23 +126,15 @@ class ImportSmpl(Writes):
     """Take each n-th pose."""
     limit: int | None = None
     """Most poses to take."""
-    subdivide: int = 0
-    """Levels of midpoint subdivision."""
-    texture: UseAppendAction[tuple[Path, ...]] = ()
-    """Picture on SMPL's UV map (SURREAL's), or folder of pictures; one outfit each."""
-    uv: Path | None = None
-    """SMPL's UV map: .obj with texture coordinates, or .npz with vt and ft (default: the model file's own, if any)."""
 
-    def bodies(self) -> Bodies:
-        from cloak_core.sources.bodies.meshes.subdivision import subdivide
+    def read(self) -> Bodies:
         from cloak_core.sources.bodies.people.smpl import import_smpl
 
-        bodies = import_smpl(self.model, self.poses, self.out.name, every=self.every, limit=self.limit)
-        return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
+        return import_smpl(self.model, self.poses, self.out.name, every=self.every, limit=self.limit)
 
 
 @dataclass(kw_only=True)
-class ImportAnny(Writes):
+class ImportAnny(Imports):
     """Draw bodies of random adult shapes and poses from Anny (extra `anny`), with the sample bodies' mesh."""
 
     example = "--count 64 --seed 1 --out scene"
@@ -136,15 +146,11 @@ class ImportAnny(Writes):
     poses: str = "natural"
     """natural (all in turn), stand, walk, run or wave; or a file of Anny's pose_parameters [P, 104, 4, 4] (.npy,
     .npz)."""
-    subdivide: int = 0
-    """Levels of midpoint subdivision."""
 
-    def bodies(self) -> Bodies:
-        from cloak_core.sources.bodies.meshes.subdivision import subdivide
+    def read(self) -> Bodies:
         from cloak_core.sources.bodies.people.anny import anny_bodies
 
-        bodies = anny_bodies(self.count, self.seed, self.poses, self.out.name)
-        return subdivide(bodies, self.subdivide)[0]
+        return anny_bodies(self.count, self.seed, self.poses, self.out.name)
 
 
 @dataclass(kw_only=True)
@@ -163,15 +169,6 @@ class Sample(Writes):
         from cloak_core.sources.bodies.people.samples import sample_bodies
 
         return clothed_bodies(self.split) if self.clothed else sample_bodies(self.split)
-
-
-def dress(bodies: Bodies, uv: Path | None, textures: tuple[Path, ...]) -> Bodies:
-    """Give the bodies the UV map of a file, if one is given, and the textures, if there are any."""
-    from cloak_core.sources.bodies.meshes.textures import dress_in_textures, read_textures, with_uv_of
-
-    if uv is not None:
-        bodies = with_uv_of(bodies, uv)
-    return dress_in_textures(bodies, read_textures(textures)) if textures else bodies
 
 
 @dataclass(kw_only=True)

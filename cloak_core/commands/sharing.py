@@ -40,10 +40,6 @@ class SharingOptions:
     gpus_per_run: float = 1.0
     """With --ray and --device cuda: GPUs, or share of one, for each run."""
 
-    def executor(self) -> RayCluster | None:
-        """Make what does the jobs; None: in order, here. InputError: Ray is not installed."""
-        return executor_of(self.ray)
-
     def spread(self, parts: Sequence[tuple[str, Sharing]], compute: ComputeSettings) -> None:
         """Have the parts (commands with `work`) done, each with its name for people; do nothing without --ray.
 
@@ -52,7 +48,7 @@ class SharingOptions:
         """
         from cloak_core.jobs.job import Job, hand_out, resources
 
-        executor = self.executor()
+        executor = executor_of(self.ray)
         if executor is None:
             return
         each = resources(compute.threads, compute.device, self.gpus_per_run)

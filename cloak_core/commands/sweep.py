@@ -11,7 +11,7 @@ from tyro.conf import Positional, UseAppendAction
 from cloak_core.commands.base import err, out
 from cloak_core.commands.options import prepare_process
 from cloak_core.commands.progress import TrainingProgress
-from cloak_core.commands.sharing import Sharing
+from cloak_core.commands.sharing import Sharing, executor_of
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
@@ -47,7 +47,7 @@ class Sweep(Sharing):
 
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("sweep: torchrun shares out one run; many runs are shared out by --ray")
-        executor = self.sharing.executor()
+        executor = executor_of(self.sharing.ray)
         options = {"device": self.device, "threads": self.threads, "seed": self.seed}
         changes = {name: value for name, value in options.items() if value is not None}
         sweep = Sweep(read_grid(self.grid, changes, self.detector), self.out)

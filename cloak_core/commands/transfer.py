@@ -131,16 +131,9 @@ class Transfer(Splitting, Detecting, Sharing):
         self.detector, self.judge = (tuple(map(full_spec, specs)) for specs in (self.detector, self.judge))
         detectors = self.by_spec((*self.detector, *self.judge))
         split = self.split(detectors)
-        options = StoreOptions(
-            out=self.out,
-            steps=() if self.steps is None else (self.steps,),
-            seeds=self.seeds,
-            seed=self.seed,
-            batch=self.batch,
-            size=self.size,
-            images_per_view=self.images_per_view,
-            device=self.compute.device,
-        )
+        amount = {name: getattr(self, name) for name in ("seeds", "seed", "batch", "size", "images_per_view")}
+        steps = () if self.steps is None else (self.steps,)
+        options = StoreOptions(out=self.out, steps=steps, device=self.compute.device, **amount)
         cameras = PHOTOGRAPHS if self.people else CIRCLE if self.circle else FRONT
         training, test = dict(cameras.training), dict(cameras.test)
         if self.hide != "person":
@@ -165,11 +158,7 @@ class Transfer(Splitting, Detecting, Sharing):
         from cloak_core.core.logo import chest_thighs, load_logo, shirt_trousers
 
         known = {"shirt_trousers": shirt_trousers, "chest_thighs": chest_thighs}
-        if self.logo in known:
-            return known[self.logo](bodies)
-        if self.logo.endswith(".npy"):
-            return load_logo(bodies, self.logo).face_ids
-        return load_logo(bodies, region=self.logo).face_ids
+        return known[self.logo](bodies) if self.logo in known else load_logo(bodies, self.logo).face_ids
 
     def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
         from cloak_core.studies.report.charts import group

@@ -55,7 +55,7 @@ class Told:
 @pytest.fixture
 def elsewhere(monkeypatch):
     told = Told()
-    monkeypatch.setattr(sharing.SharingOptions, "executor", lambda self: told if self.ray else None)
+    monkeypatch.setattr(sharing, "executor_of", lambda address: told if address else None)
     return told
 
 
