@@ -35,7 +35,6 @@ def test_help_is_a_command_too(line, same, capsys) -> None:
     ("line", "words"),
     [
         ("trian", "unknown command 'trian'; did you mean train?"),
-        ("scene inof", "unknown command 'scene inof'; did you mean scene info?"),
         ("train --stpes 3 --logo chest --out x", "train: unknown option --stpes; did you mean --steps? (cloak train"),
         ("train --tv_wieght=3 --logo chest --out x", "unknown option --tv-wieght; did you mean --tv-weight?"),
         ("train --tensorboard --logo chest --out x", "train: this version has no --tensorboard; use --log tensorboard"),
