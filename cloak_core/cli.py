@@ -37,7 +37,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "scene import-smpl": "scene:ImportSmpl",
         "scene import-anny": "scene:ImportAnny",
         "scene info": "scene:Info",
-        "people fit": "people:Fit",
+        "people fit": "wear:Fit",
         "logo select": "logo:Select",
         "logo project": "logo:Project",
         "logo heatmap": "logo:Heatmap",
@@ -52,7 +52,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "film": "film:Film",
         "transfer": "transfer:Transfer",
         "sweep": "sweep:Sweep",
-        "export coco": "export:Coco",
+        "export coco": "film:Coco",
     },
     "Defend": {
         "assess": "assess:Assess",

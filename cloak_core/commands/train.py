@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -30,7 +31,7 @@ from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.specs import reach
-from cloak_core.files.writing import is_taken
+from cloak_core.files.writing import is_taken, new_folder, write_json, written
 
 
 @dataclass(kw_only=True)
@@ -164,8 +165,6 @@ class Train(Photographed, Detecting):
 
     def _extend(self) -> None:
         """Go on in a copy of the run that asks for more steps."""
-        from cloak_core.commands.extending import extended
-
         if self.resume:
             raise InputError("--extend, --resume: a run that is extended is resumed by the same command with --extend")
         self.out, steps = extended(self.out, self.extend)
@@ -196,6 +195,43 @@ class Train(Photographed, Detecting):
         return ("evaluate", result["out"], *judged, *named)
 
 
+KEPT = (
+    *("material.npz", "logo.npy", "logo.json", "colors.npy", "cloth.png", "events.jsonl"),
+    *("checkpoint", "previews", "snapshots"),
+)
+"""Of a run: what training wrote; what was made of it is made again."""
+
+
+def extended(run: Path, updates: int) -> tuple[Path, int]:
+    """Copy a run into RUN-STEPS, its settings asking for `updates` more; return that folder and STEPS.
+
+    Where it is there already, from an earlier --extend, it is the one that goes on. InputError: no run, or none that
+    has a checkpoint; no update more.
+    """
+    if updates < 1:
+        raise InputError(f"--extend {updates}: some updates more are needed")
+    if not (run / "config.json").is_file():
+        raise InputError(f"{run}: no run to extend (--out names the one that is complete)")
+    from cloak_core.core.checkpoints import load_checkpoint
+
+    checkpoint, _ = load_checkpoint(run / "checkpoint")
+    if checkpoint is None:
+        raise InputError(f"{run}: has no checkpoint to go on from")
+    steps = checkpoint.step + updates
+    out = run.with_name(f"{run.name}-{steps}")
+    if not out.exists():
+        config = read_json(run / "config.json")
+        config["settings"] = config["settings"] | {"steps": steps, "epochs": None}
+        with new_folder(out) as folder, written(folder):
+            for part in KEPT:
+                if (run / part).is_dir():
+                    shutil.copytree(run / part, folder / part)
+                elif (run / part).is_file():
+                    shutil.copy(run / part, folder / part)
+            write_json(folder / "config.json", config)
+    return out, steps
+
+
 OTHERS = "OTHERS.json"
 """Stands for people who were not trained on, where all of a file were."""
 _OTHER_HALF = {"0::2": "1::2", "::2": "1::2", "1::2": "0::2"}
@@ -206,14 +242,7 @@ def _other_people(people: str) -> str | None:
     from cloak_core.sources.bodies.selection import split_selection
 
     file, selection = split_selection(people)
-    start, _, stop = (selection or "").partition(":")
-    if selection in _OTHER_HALF:
-        return f"{file}[{_OTHER_HALF[selection]}]"
-    if start in ("", "0") and stop.isdecimal():
-        return f"{file}[{stop}:]"
-    if start.isdecimal() and int(start) and selection == f"{start}:":
-        return f"{file}[:{start}]"
-    return None
+    return f"{file}[{_OTHER_HALF[selection]}]" if selection in _OTHER_HALF else None
 
 
 def _begun_on_the_cpu(run: Path) -> bool:

@@ -1,17 +1,19 @@
-"""`cloak wear`: real people in photographs, dressed in trained colours or in anybody's picture, and judged."""
+"""`cloak wear` and `cloak people`: real people in photographs, dressed in trained colours or in anybody's picture."""
 
 from __future__ import annotations
 
 import glob
+import statistics
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import left_out, out, share, table
+from cloak_core.commands.base import Command, left_out, out, share, table
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
+from cloak_core.commands.sharing import executor_of
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import require_new
@@ -111,3 +113,43 @@ def show_people(result: dict) -> None:
     """Say who was judged, who was left out, and whether training saw these photographs."""
     seen = SEEN.get(result.get("unseen", {}).get("photographs"), "")
     out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left_out(result)}{seen}")
+
+
+@dataclass(kw_only=True)
+class Fit(Command):
+    """Fit the body to people in photographs ahead of need, and count them.
+
+    Other commands do so on their own; fits are found again by content, in the cache (CLOAK_CACHE).
+    """
+
+    example = "people.json"
+
+    people: Positional[str]
+    """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
+    images: Path | None = None
+    """Folder of the photographs (default: beside the file, or images/ beside it)."""
+    ray: str | None = None
+    """Have a Ray cluster fit: local, or an address (auto, HOST:6379, ray://HOST:10001) (default: all cores here)."""
+
+    def run(self) -> dict:
+        from cloak_core.sources.photographs.fits import fit_people, those_who_fit
+        from cloak_core.sources.photographs.people import load_people
+
+        people, executor = load_people(self.people, self.images), executor_of(self.ray)
+        with counted("fitting", unit="people") as tell:
+            fits = fit_people(people, tell, executor)
+        fitting, qualities = those_who_fit(people, fits), list(fits.qualities())
+        return {
+            "people": len(fitting),
+            "photographs": len(fitting.photographs),
+            "left_out": fitting.left_out,
+            "covered": statistics.median(quality["covered"] for quality in qualities),
+            "spilled": statistics.median(quality["spilled"] for quality in qualities),
+        }
+
+    def show(self, result: dict) -> None:
+        out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left_out(result)}")
+        out.print(f"the body covers {result['covered']:.0%} of a person, {result['spilled']:.0%} of it lies beside her")
+
+    def following(self, result: dict) -> tuple[str, ...]:
+        return ("train", "--people", self.people, *(("--images", str(self.images)) if self.images else ()))
