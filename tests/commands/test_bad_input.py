@@ -94,6 +94,11 @@ TRAIN = "train --scene scene --logo logo.npy --out run --steps 1 "
         (TRAIN + "--device cuda:99", "--device cuda:99: "),
         (TRAIN + "--device meta", "--device meta: holds no numbers"),
         ("scene info sample:nonsense", "sample:nonsense"),
+        ("scene info absent", "absent: no such scene"),
+        ("scene info x --nonsense", "--nonsense"),
+        ("scene import absent.obj --out x", "absent.obj"),
+        ("nonsense", "unknown command 'nonsense'"),
+        ("scene nonsense", "unknown command 'scene nonsense'"),
     ],
 )
 def test_one_line_names_the_thing(here, capsys, line, words):

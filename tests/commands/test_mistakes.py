@@ -24,6 +24,7 @@ def test_each_mistake_gets_one_line_and_exit_code_2(name: str, tmp_path: Path, m
     assert len(made) >= 5 + (name not in RUNS_BARE)
     for mistake in made:
         assert mistake.code == 2 and mistake.said.startswith("cloak: "), mistake
+        assert mistake.kind != "bare" or f"usage: cloak {name}" in mistake.said, mistake
         assert len(mistake.said.splitlines()) == 1 and len(mistake.said) <= LONGEST, mistake
         assert not any(word in mistake.said for word in LEAKED), mistake
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"], "something was written"
