@@ -5,12 +5,13 @@ A live bar in a terminal, plain lines in a pipe, on standard error either way; a
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -78,21 +79,21 @@ class Pace:
         return "" if left is None else f", about {_minutes(left)} left"
 
 
-class TrainingProgress:
-    """Takes a run's events ("start" with the number of steps, then one "step" each) and shows how it goes."""
+class Counter:
+    """Shows how far something counted is: a live bar in a terminal, else plain lines."""
 
-    def __init__(self, silent: bool = False, label: str = "training") -> None:
+    def __init__(self, label: str, unit: str, silent: bool = False) -> None:
+        """unit: what is counted, for the line that says at the start how much there is to do."""
         columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[figures]}"))
         times = (TimeElapsedColumn(), TimeRemainingColumn())
         self._bar = Progress(*columns, *times, console=err, disable=silent or not err.is_terminal)
         self._task = self._bar.add_task(label, total=None, figures="")
-        self._silent, self._label = silent, label
+        self._label, self._unit, self._silent = label, unit, silent
         self._total: int | None = None
         self._said = -PLAIN_EVERY
-        self._success: float | None = None
         self._pace = Pace()
 
-    def __enter__(self) -> TrainingProgress:
+    def __enter__(self) -> Self:
         self._bar.start()
         return self
 
@@ -100,67 +101,69 @@ class TrainingProgress:
         if not self._bar.disable:  # rich would write an empty line all the same
             self._bar.stop()
 
-    def __call__(self, event: dict) -> None:
-        if self._silent:
-            return
-        if event.get("type") in ("start", "resume"):
-            self._total, self._success = event.get("steps"), None
-            self._pace.begin(event.get("step", 0))
-            if self._total:
-                announce(self._label, self._total - event.get("step", 0), unit="updates")
-        elif event.get("type") == "step":
-            self._step(event)
-
-    def _step(self, event: dict) -> None:
-        figures = f"loss {event['loss']:.3f}"
-        if isinstance(event.get("success"), (int, float)):
-            # One batch says little about success: show a running mean over about twenty.
-            before = event["success"] if self._success is None else self._success
-            self._success = 0.95 * before + 0.05 * event["success"]
-        if self._success is not None:
-            figures += f"  success on its last images {self._success:.0%}"
-        self._bar.update(self._task, total=self._total, completed=event["step"], figures=figures)
-        self._pace.report(event["step"])
-        is_due = time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total
-        if not err.is_terminal and (self._pace.is_news() or is_due):
+    def begin(self, done: int, total: int | None) -> None:
+        """Say what there is to do from here on; what is done already took no time of ours."""
+        self._total = total
+        self._pace.begin(done)
+        if total and not self._silent:
+            announce(self._label, total - done, unit=self._unit)
             self._said = time.monotonic()
-            step = f"step {event['step']}/{self._total or '?'}"
-            err.print(f"{step}  {figures}  {event['time']:.0f} s{self._pace.words(self._total)}")
+
+    def report(self, done: int, figures: str = "") -> None:
+        """Say how much is done, now and then where there is no terminal; figures: what else there is to say."""
+        self._bar.update(self._task, total=self._total, completed=done, figures=figures)
+        self._pace.report(done)
+        is_due = time.monotonic() - self._said >= PLAIN_EVERY or (figures and done == self._total)
+        if not self._silent and not err.is_terminal and (self._pace.is_news() or is_due):
+            self._said = time.monotonic()
+            shown = f", {figures}" if figures else ""
+            err.print(f"{self._label}: {done} of {self._total or '?'}{shown}{self._pace.words(self._total)}")
+
+
+class TrainingProgress(Counter):
+    """Takes a run's events ("start" with the number of steps, then one "step" each) and shows how it goes."""
+
+    def __init__(self, silent: bool = False, label: str = "training") -> None:
+        super().__init__(label, "updates", silent)
+        self._success: float | None = None
+
+    def __call__(self, event: dict) -> None:
+        if event.get("type") in ("start", "resume"):
+            self._success = None
+            self.begin(event.get("step", 0), event.get("steps"))
+        elif event.get("type") == "step":
+            figures = f"loss {event['loss']:.3f}"
+            if isinstance(event.get("success"), (int, float)):
+                # One batch says little about success: show a running mean over about twenty.
+                before = event["success"] if self._success is None else self._success
+                self._success = 0.95 * before + 0.05 * event["success"]
+                figures += f", success on its last images {self._success:.0%}"
+            self.report(event["step"], figures)
 
 
 @contextmanager
 def counted(label: str, events: Path | None = None, unit: str = "images") -> Iterator[Callable[[int, int], None]]:
-    """Yield `tell(done, total)`, which feeds a bar in a terminal and the lines of `events`.
-
-    The first says what there is to do, in `unit`; as soon as some of it is done, a line says about how long it takes.
+    """Yield `tell(done, total)`, which feeds a `Counter` and the lines of `events`.
 
     These are a run's (`core.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
     `step`, what is done. Both have `time`, the seconds since. InputError: the file is there already.
     """
     from cloak_core.core.events import EventLog
 
-    log = None
+    log: EventLog | None = None
     if events is not None:
         require_new(events)
         log = EventLog(events)
-    begun = said = time.monotonic()
+    begun = time.monotonic()
     known: int | None = None
-    last, pace = 0, Pace()
-    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-    with Progress(*columns, console=err, disable=not err.is_terminal) as bar:
-        task = bar.add_task(label, total=None)
+    last = 0
+    with Counter(label, unit) as counter, contextlib.closing(log) if log else contextlib.nullcontext():
 
         def tell(done: int, total: int) -> None:
-            nonlocal known, said, last
-            bar.update(task, completed=done, total=total)
+            nonlocal known, last
             if (total != known or done < last) and total > 1:  # or other work of the same size
-                pace.begin(done)
-                announce(label, total, unit=unit)
-                said = time.monotonic()
-            pace.report(done)
-            if not err.is_terminal and (pace.is_news() or time.monotonic() - said >= PLAIN_EVERY):
-                said = time.monotonic()
-                err.print(f"{label}: {done} of {total}{pace.words(total)}")
+                counter.begin(done, total)
+            counter.report(done)
             seconds = time.monotonic() - begun
             if log is not None and total != known:
                 log.write({"type": "start", "step": 0, "time": seconds, "steps": total})
@@ -168,11 +171,7 @@ def counted(label: str, events: Path | None = None, unit: str = "images") -> Ite
                 log.write({"type": "step", "step": done, "time": seconds})
             known, last = total, done
 
-        try:
-            yield tell
-        finally:
-            if log is not None:
-                log.close()
+        yield tell
 
 
 @contextmanager
