@@ -12,7 +12,6 @@ import re
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,11 +29,8 @@ MAX_MEMBERS = 1 << 14
 """Of an archive: a storage each."""
 
 
-@dataclass(frozen=True)
-class _Kind:
+class _Kind(str):
     """A class of torch's storages: the type of the numbers in it."""
-
-    dtype: str
 
 
 _KINDS = {
@@ -68,12 +64,8 @@ def _tensor(
     return np.ndarray(shape, storage.dtype, storage, offset * storage.itemsize, steps)
 
 
-def _parameter(machine: PickleMachine, data: object, *unused: object) -> object:
-    return data
-
-
-def _dictionary(machine: PickleMachine, *unused: object) -> OrderedDict:
-    return OrderedDict()
+_DICTIONARY = Admitted(lambda machine, *unused: OrderedDict())
+_PARAMETER = Admitted(lambda machine, data, *unused: data)
 
 
 def _shape(machine: PickleMachine, values: object = ()) -> tuple:
@@ -96,14 +88,14 @@ def _whole(value: object) -> bool:
 
 
 _ADMITTED: dict[tuple[str, str], object] = ADMITTED | {
-    ("collections", "OrderedDict"): Admitted(_dictionary),
-    ("collections", "defaultdict"): Admitted(_dictionary),
+    ("collections", "OrderedDict"): _DICTIONARY,
+    ("collections", "defaultdict"): _DICTIONARY,
     ("builtins", "set"): Admitted(_set),
     ("__builtin__", "set"): Admitted(_set),
     ("torch", "Size"): Admitted(_shape),
     ("torch._utils", "_rebuild_tensor_v2"): Admitted(_tensor),
-    ("torch._utils", "_rebuild_parameter"): Admitted(_parameter),
-    ("torch._utils", "_rebuild_parameter_with_state"): Admitted(_parameter),
+    ("torch._utils", "_rebuild_parameter"): _PARAMETER,
+    ("torch._utils", "_rebuild_parameter_with_state"): _PARAMETER,
 }
 _ADMITTED |= {("torch", name): _Kind(dtype) for name, dtype in _KINDS.items()}
 _RECORDED = re.compile(
@@ -126,9 +118,11 @@ class TorchMachine(PickleMachine):
         archive: zipfile.ZipFile | None = None,
         folder: str = "",
         size: int | None = None,
+        is_rewritten: bool = False,
     ) -> None:
+        """is_rewritten: the numbers can be written to; `storages` has them by their members of the archive."""
         super().__init__(file, path, size)
-        self.archive, self.folder = archive, folder
+        self.archive, self.folder, self.is_rewritten = archive, folder, is_rewritten
         self.storages: dict[str, np.ndarray] = {}
 
     def persistent_load(self, pid: object) -> np.ndarray:
@@ -139,7 +133,13 @@ class TorchMachine(PickleMachine):
         if word != "storage" or not isinstance(kind, _Kind) or not isinstance(key, str) or not _whole(count):
             raise ValueError("a reference to something that is no storage")
         if key not in self.storages:
-            self.storages[key] = _numbers(self.archive.read(f"{self.folder}data/{key}"), kind.dtype, count)
+            data = self.archive.read(f"{self.folder}data/{key}")
+            if kind != "bfloat16":
+                self.storages[key] = np.frombuffer(bytearray(data) if self.is_rewritten else data, str(kind), count)
+            elif self.is_rewritten:
+                raise InputError(f"{self.path}: keeps its numbers in bfloat16, which cannot be written here")
+            else:  # the upper half of a float32
+                self.storages[key] = (np.frombuffer(data, "<u2", count).astype("<u4") << 16).view("<f4")
         return self.storages[key]
 
 
@@ -163,19 +163,6 @@ def read_torch_pickle(path: Path) -> object:
         raise InputError(f"{path}: not a whole file of torch.save ({first_line(error)[:160]})") from None
 
 
-class _Rewriter(TorchMachine):
-    """The numbers can be written to, and are remembered by their members of the archive."""
-
-    def persistent_load(self, pid: object) -> np.ndarray:
-        known = len(self.storages)
-        numbers = super().persistent_load(pid)
-        if len(self.storages) > known:
-            if pid[1].dtype == "bfloat16":
-                raise InputError(f"{self.path}: keeps its numbers in bfloat16, which cannot be written here")
-            numbers = self.storages[pid[2]] = numbers.copy()
-        return numbers
-
-
 def rewrite_torch_pickle(source: Path, target: Path, change: Callable[[object], None]) -> None:
     """Write a file of torch.save again with other numbers: `change` is given what `read_torch_pickle` gives, and writes
     into its arrays. Whatever is no number stays as it is, the pickle to the byte.
@@ -186,7 +173,8 @@ def rewrite_torch_pickle(source: Path, target: Path, change: Callable[[object], 
     with open_regular(source, MAX_BYTES) as file, zipfile.ZipFile(file) as archive:
         (pickled,) = (name for name in archive.namelist() if name == "data.pkl" or name.endswith("/data.pkl"))
         folder = pickled.removesuffix("data.pkl")
-        machine = _Rewriter(io.BytesIO(archive.read(pickled)), source, archive, folder, source.stat().st_size)
+        size = source.stat().st_size
+        machine = TorchMachine(io.BytesIO(archive.read(pickled)), source, archive, folder, size, is_rewritten=True)
         change(machine.load())
         changed = {f"{folder}data/{key}": numbers.tobytes() for key, numbers in machine.storages.items()}
 
@@ -222,10 +210,3 @@ def _refuse_pickle(file: io.BufferedIOBase, path: Path) -> None:
     for _ in range(4):  # that format's mark, its version, the machine, and only then the content
         TorchMachine(file, path).load()
     raise ValueError("a bare pickle")
-
-
-def _numbers(data: bytes, dtype: str, count: int) -> np.ndarray:
-    if dtype != "bfloat16":
-        return np.frombuffer(data, dtype, count)
-    # The upper half of a float32.
-    return (np.frombuffer(data, "<u2", count).astype("<u4") << 16).view("<f4")
