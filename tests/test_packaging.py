@@ -182,7 +182,7 @@ def test_the_wheel_does_the_main_job_and_says_once_that_it_compiles(python: Path
 def test_the_wheel_knows_its_extras_and_brings_the_scripts_for_blender(python: Path) -> None:
     asked = "from importlib.metadata import metadata; print(*metadata('cloak-core').get_all('Provides-Extra'))"
     assert set(run(python, "-c", asked).stdout.split()) == set(PROJECT["optional-dependencies"])
-    asked = "from cloak_core.commands.demo import SCRIPT; print(SCRIPT)"
+    asked = "from cloak_core.sources.bodies.blender.outside import ROOT; print(ROOT / 'blender_addon' / 'train.py')"
     script = Path(run(python, "-c", asked, env={"PATH": os.environ["PATH"]}, cwd="/").stdout.strip())
     assert script.is_relative_to(python.parents[1])
     blender = ROOT / ".venv-blender" / "bin" / "python"
