@@ -1,10 +1,10 @@
 """From draws to what compositing takes: views of dressed bodies, backgrounds, shifts, photometric changes."""
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -18,6 +18,7 @@ from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.components import AugmentationSettings
 from cloak_core.core.settings.values import Range
 from cloak_core.core.source import Backdrops
+from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.threads import MOST_WORKERS, torch_threads, workers
 
 
@@ -63,6 +64,13 @@ class Company:
     anywhere: Bool[Tensor, " B"]
     """Renders: nobody else can be in them, so that every box counts."""
 
+    @staticmethod
+    def of(views: Sequence[BakedView], distorted: Distortion, device: torch.device) -> "Company":
+        """Collect the other people of views, where the distorted images show them."""
+        others = other_boxes(views).to(device)
+        moved = [distorted.boxes(others[:, k], views[0].height, views[0].width) for k in range(others.shape[1])]
+        return Company(torch.stack(moved, dim=1) if moved else others, is_alone(views).to(device))
+
     def part(self, first: int, last: int) -> "Company":
         """Take the company of some of the images."""
         return Company(self.others[first:last], self.anywhere[first:last])
@@ -104,11 +112,11 @@ class Batcher:
         return Batch(
             empty,
             dressed(views, self.pattern, rows, shifts),
-            LogoChange.draw(draws, settings, self.pattern.count, self.device) if is_photometric(settings) else None,
+            LogoChange.draw(draws, settings, self.pattern.count, self.device),
             distorted,
             None if hidden is None else torch.from_numpy(hidden).to(self.device),
             distorted.boxes(true_boxes(views, shifts), size, size),
-            None if alone.all() else self._company(other_boxes(views), alone, distorted),
+            None if alone.all() else Company.of(views, distorted, self.device),
         )
 
     def _workers(self) -> int:
@@ -118,11 +126,6 @@ class Batcher:
         if not source.is_fresh or source.works_on.type != "cpu":
             return 1
         return workers(source.works_on) if self.device.type == "cpu" else min(_cores(), MOST_WORKERS)
-
-    def _company(self, others: Float[Tensor, "B K 4"], alone: Bool[Tensor, " B"], distorted: Distortion) -> Company:
-        others = others.to(self.device)
-        moved = [distorted.boxes(others[:, k], self.size, self.size) for k in range(others.shape[1])]
-        return Company(torch.stack(moved, dim=1) if moved else others, alone.to(self.device))
 
 
 class Prefetcher:
@@ -188,8 +191,14 @@ class LogoChange:
     summand: Float[Tensor, "B L 3"] | Float[Tensor, "B 1 1"]
 
     @staticmethod
-    def draw(draws: Draws, settings: AugmentationSettings, faces: int, device: torch.device) -> "LogoChange":
-        factor, summand = (_on(device, values).view(-1, 1, 1) for values in (draws.contrast, draws.brightness))
+    def draw(draws: Draws, settings: AugmentationSettings, faces: int, device: torch.device) -> "LogoChange | None":
+        """Take the change of each image from its draws; None where the settings change nothing."""
+        if not settings.noise and settings.contrast == Range(1.0, 1.0) and settings.brightness == Range(0.0, 0.0):
+            return None
+        factor, summand = (
+            torch.from_numpy(values).float().to(device, non_blocking=True).view(-1, 1, 1)
+            for values in (draws.contrast, draws.brightness)
+        )
         if settings.noise:
             generator = torch.Generator(device=device)
             drawn = torch.empty(len(draws), faces, 3, device=device)
@@ -200,12 +209,3 @@ class LogoChange:
 
     def __call__(self, colors: Float[Tensor, "*B L 3"]) -> Float[Tensor, "B L 3"]:
         return torch.addcmul(self.summand, colors, self.factor)
-
-
-def is_photometric(settings: AugmentationSettings) -> bool:
-    """Tell whether contrast, brightness or noise change anything."""
-    return bool(settings.noise) or settings.contrast != Range(1.0, 1.0) or settings.brightness != Range(0.0, 0.0)
-
-
-def _on(device: torch.device, values: np.ndarray) -> Tensor:
-    return torch.from_numpy(values).float().to(device, non_blocking=True)

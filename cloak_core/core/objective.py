@@ -173,6 +173,8 @@ def gradient_step(
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)
+    # Of the detectors all figures are means over this process's images: times `part`, they add up to the whole batch's.
+    # What depends on the colours alone is the same in every process: over their number, it adds up to itself.
     result = objective.forward_backward(images, step, batch.bodies, batch.company)
     variation = objective.total_variation(colors)
     weight = objective.settings.tv_weight
@@ -180,7 +182,7 @@ def gradient_step(
     restless = (weight * variation + sum(factor * value for factor, value in penalties.values())) / world.size
     gradient = torch.zeros_like(images) if result.gradient is None else result.gradient
     torch.autograd.backward([images, restless], [gradient if part == 1 else gradient.mul_(part), None])
-    gradient = optimizer.gradient
+    gradient = optimizer.gradient  # of the sum of both, with respect to the parameters
     shares = [part * result.disappearance, part * result.success]
     shares += [value / world.size for value in (variation, *(value for _, value in penalties.values()))]
     values = torch.stack(shares).detach()

@@ -47,10 +47,6 @@ class RunFolder(LoopFolder):
         self.changes: list[str] = []
         """What is not as it was when the run began, though it decides at most the last bits of the result."""
 
-    def write_cloth(self, picture: Float32[np.ndarray, "h w 3"]) -> None:
-        """Write what is to be printed, a pixel for each square."""
-        _save_cloth(self.cloth, picture)
-
     def write_snapshot(
         self, step: int, colors: Float32[np.ndarray, "L 3"], picture: Float32[np.ndarray, "h w 3"] | None = None
     ) -> None:
@@ -61,11 +57,12 @@ class RunFolder(LoopFolder):
             self.snapshots.mkdir(exist_ok=True)
         path = self.snapshots / f"step-{step:08d}.npy"
         if picture is not None:
-            _save_cloth(path.with_suffix(".png"), picture)
+            write_cloth(path.with_suffix(".png"), picture)
         write_colors(path, colors)
 
 
-def _save_cloth(path: Path, picture: Float32[np.ndarray, "h w 3"]) -> None:
+def write_cloth(path: Path, picture: Float32[np.ndarray, "h w 3"]) -> None:
+    """Write what is to be printed, a pixel for each square."""
     save_picture(path, Image.fromarray(np.round(255 * picture).astype(np.uint8)))
 
 

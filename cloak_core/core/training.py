@@ -16,7 +16,7 @@ from cloak_core.core.events import OnEvent, read_events
 from cloak_core.core.loop import Loop, TrainingError
 from cloak_core.core.objective import Objective, Step, StepFigures, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer, learning_rate
-from cloak_core.core.run_folder import RunFolder, save_preview
+from cloak_core.core.run_folder import RunFolder, save_preview, write_cloth
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.stopping import StopRequest
 from cloak_core.core.world import World
@@ -207,7 +207,7 @@ class TrainingLoop(Loop):
         colors = self.optimizer.finished()
         picture = self.batcher.pattern.picture(_as_array(colors))
         if picture is not None:
-            self.folder.write_cloth(picture)
+            write_cloth(self.folder.cloth, picture)
         write_colors(self.folder.colors, self._on_faces(colors))
         self._shown = time.perf_counter()
 

@@ -48,13 +48,20 @@ def measure(
     in front. batch: images at once. The boxes of the result have corners.
     """
     judges = list(detectors.values())
-    progress = Progress(len(images.trials) * len(patterns) + len(bare), on_progress)
-    scores, boxes, true = _judge_trials(images, patterns, judges, batch, progress, on_images)
+    total, done = len(images.trials) * len(patterns) + len(bare), 0
+
+    def advance(count: int) -> None:
+        nonlocal done
+        done += count
+        if on_progress:
+            on_progress(done, total)
+
+    scores, boxes, true = _judge_trials(images, patterns, judges, batch, advance, on_images)
     return make_results(
         {spec: float(detector.operating_point) for spec, detector in detectors.items()},
         tuple(patterns),
         images.trials.assign(**dict(zip(TRUE_BOX, true.T, strict=True))),
-        bare=_judge_bare(images, judges, np.asarray(bare, np.int64), batch, progress),
+        bare=_judge_bare(images, judges, np.asarray(bare, np.int64), batch, advance),
         boxes=boxes,
         **scores,
         body_names=images.body_names,
@@ -79,21 +86,6 @@ def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float] | Non
             raise InputError(f"{option}: none given")
 
 
-class Progress:
-    """Count images, and tell how many are done."""
-
-    def __init__(self, total: int, on_progress: OnProgress | None) -> None:
-        self.done = 0
-        self.total = total
-        self.on_progress = on_progress
-
-    def advance(self, images: int) -> None:
-        """Count these images as done."""
-        self.done += images
-        if self.on_progress:
-            self.on_progress(self.done, self.total)
-
-
 def batches(indices: np.ndarray, size: int) -> Iterator[np.ndarray]:
     """Cut `indices` into pieces of `size`."""
     for start in range(0, len(indices), size):
@@ -105,7 +97,7 @@ def _judge_trials(
     patterns: Mapping[str, Pattern],
     detectors: Sequence[Detector],
     size: int,
-    progress: Progress,
+    advance: Callable[[int], None],
     on_images: OnImages | None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Float32[np.ndarray, "N 4"]]:
     """Judge all trials, `size` images at once: scores [D, C, N] by column of the results, found boxes, true boxes.
@@ -137,7 +129,7 @@ def _judge_trials(
                 box_rows += _boxes(d, c, batch, detections, true.cpu())
             if on_images:
                 on_images(names[c], batch, pictures, pd.DataFrame(_columns(box_rows[before:])))
-            progress.advance(len(batch))
+            advance(len(batch))
     return scores, _columns(box_rows), true_boxes
 
 
@@ -164,14 +156,14 @@ def image_scores(detector: Detector, detections: Detections, best: OnBody) -> di
 
 
 def _judge_bare(
-    images: ImageSet, detectors: Sequence[Detector], backgrounds: np.ndarray, size: int, progress: Progress
+    images: ImageSet, detectors: Sequence[Detector], backgrounds: np.ndarray, size: int, advance: Callable[[int], None]
 ) -> Float32[np.ndarray, "D M"]:
     """Find the best scores on backgrounds without a person."""
     score = [np.zeros((len(detectors), 0), np.float32)]
     for batch in batches(backgrounds, size):
         shown = images.bare(batch)
         score.append(np.stack([max_person_score(detector(shown)).cpu().numpy() for detector in detectors]))
-        progress.advance(len(batch))
+        advance(len(batch))
     return np.concatenate(score, axis=1).astype(np.float32)
 
 
