@@ -7,15 +7,8 @@ import pytest
 
 from cloak_core.exchange.colors import write_colors
 from cloak_core.files.errors import InputError
-from cloak_core.studies.trainings.training import train
-from tests.core.fakes import TinyDetector, back_logo, box_bodies, front_logo, noise_backgrounds, tiny_settings
-
-
-def run(out: Path, resume: bool = False, logo=None, **changes):
-    bodies = box_bodies()
-    logo = logo or front_logo(bodies)
-    settings = tiny_settings(**changes)
-    return train(settings, bodies, logo, [TinyDetector()], noise_backgrounds(), out, resume=resume)
+from tests.core.fakes import back_logo, box_bodies
+from tests.core.test_training import run
 
 
 @pytest.mark.slow

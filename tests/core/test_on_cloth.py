@@ -9,7 +9,8 @@ from cloak_core.core.places import Places
 from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.footprint import MOST_SQUARES, squares_under
-from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
+from tests.core.fakes import box_bodies, front_logo
+from tests.core.test_training import run
 
 
 def test_a_face_shows_the_mean_of_the_squares_on_it():
@@ -39,16 +40,10 @@ def test_loops_and_torch_find_the_same_squares_under_footprints():
 @pytest.mark.slow
 @pytest.mark.parametrize("inks", [None, 2])
 def test_a_trained_cloth_is_what_its_faces_show(tmp_path, inks):
-    from cloak_core.core.settings import make_settings
-    from cloak_core.studies.trainings.training import train
-
-    bodies = box_bodies()
-    logo = front_logo(bodies)
     chosen = {"pattern": "tile", "tile_cm": 50, "feature_cm": 25, "colors_at_most": inks}
-    settings = make_settings("best", steps=3, batch=2, size=64, translation=5, samples=1, **chosen)
-    result = train(settings, bodies, logo, [TinyDetector()], noise_backgrounds(), tmp_path / "run")
+    result = run(tmp_path / "run", steps=3, batch=2, **chosen)
     printed = np.asarray(Image.open(tmp_path / "run" / "cloth.png")).reshape(-1, 3) / np.float32(255)
-    cloth = ClothPattern(logo, Grid.of(0.5, 0.25), bodies=bodies)
+    cloth = ClothPattern(front_logo(box_bodies()), Grid.of(0.5, 0.25), bodies=box_bodies())
     shown = cloth.on_faces(printed, is_exact=inks is not None)
     assert np.allclose(result.colors, shown, atol=0.51 / 255)
     assert len(np.unique(result.colors, axis=0)) <= (inks or 16**2)

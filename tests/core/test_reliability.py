@@ -21,9 +21,9 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
-from cloak_core.studies.trainings.training import train
 from tests.core import children
-from tests.core.fakes import BrokenDetector, TinyDetector, box_bodies, front_logo, tiny_settings
+from tests.core.fakes import BrokenDetector, TinyDetector, box_bodies, front_logo
+from tests.core.test_training import run
 from tests.reliability_record import record
 
 KILLS = int(os.environ.get("CLOAK_KILLS", "6"))
@@ -191,12 +191,10 @@ def test_a_background_that_goes_bad(tmp_path, monkeypatch, how):
             if harm and (event["type"], event["step"]) == ("step", 3):
                 victim.unlink() if how == "vanishes" else victim.write_bytes(data[: len(data) // 2])
 
-        bodies = box_bodies()
         # Room for one picture, so that files are read again.
         backgrounds = load_backgrounds(tmp_path / "photos", (64, 64), memory_bytes=1)
-        settings = tiny_settings(steps=12, checkpoint_every=5)
-        return train(settings, bodies, front_logo(bodies), [TinyDetector()], backgrounds, tmp_path / name,
-                     resume=True, on_event=listen)  # fmt: skip
+        how = {"steps": 12, "checkpoint_every": 5, "resume": True, "on_event": listen}
+        return run(tmp_path / name, backgrounds=backgrounds, **how)
 
     whole = attempt("whole").colors
     with pytest.raises(InputError, match=r"3\.png") as ended:
@@ -210,13 +208,7 @@ def test_a_background_that_goes_bad(tmp_path, monkeypatch, how):
 
 @pytest.mark.slow
 def test_a_detector_that_returns_nan(tmp_path):
-    bodies = box_bodies()
-
-    def attempt(name: str, detector: TinyDetector):
-        settings = tiny_settings(steps=8, checkpoint_every=1)
-        backgrounds = children.noise_backgrounds()
-        return train(settings, bodies, front_logo(bodies), [detector], backgrounds, tmp_path / name, resume=True)
-
+    attempt = lambda name, detector: run(tmp_path / name, [detector], steps=8, checkpoint_every=1, resume=True)
     whole = attempt("whole", TinyDetector()).colors
     with pytest.raises(InputError, match=r"step 3: its loss is not finite; not finite: the output of tiny:0") as ended:
         attempt("run", BrokenDetector(4))

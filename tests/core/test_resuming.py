@@ -50,18 +50,6 @@ def test_stopped_runs_go_on_to_the_same_bits(tmp_path, how):
 
 
 @pytest.mark.slow
-def test_fresh_views_go_on_to_the_same_bits(tmp_path):
-    """A camera of its own for every image: distances, angles and elevations from ranges."""
-    fresh = {"distance": "1.8:3", "angle_jitter": 5, "elevation_jitter": 2, "steps": 7}
-    whole = run(tmp_path / "whole", **fresh)
-    part = run(tmp_path / "part", max_seconds=1e-6, **fresh)
-    assert part.step == 1
-    rest = run(tmp_path / "part", resume=True, **fresh)
-    assert np.array_equal(whole.colors, rest.colors)
-    assert not np.array_equal(whole.colors, run(tmp_path / "fixed", steps=7).colors)
-
-
-@pytest.mark.slow
 def test_a_run_that_names_retired_options_resumes_where_they_were_off(tmp_path):
     off = {"hard_views": 0.0, "zoom": "1", "jpeg": None, "reduce": "max", "ascent": "momentum", "wrinkle_draws": 4}
     done = run(tmp_path / "run")

@@ -13,12 +13,11 @@ from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.events import read_events
 from cloak_core.core.run_config import read_config
 from cloak_core.detectors.loading import load_detector
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.trainings import run_record
-from cloak_core.studies.trainings.training import train
-from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
+from tests.core.fakes import TinyDetector, box_bodies
+from tests.core.test_training import run as box_run
 from tests.detectors.helpers import TINY_CFG, write_tiny
 
 MODULE = """
@@ -36,24 +35,8 @@ def make():
 """
 
 
-def run(
-    out: Path,
-    detector: Detector,
-    backgrounds: Backgrounds | None = None,
-    bodies: Bodies | None = None,
-    resume: bool = True,
-):
-    bodies = bodies or box_bodies()
-    backgrounds = backgrounds or noise_backgrounds()
-    return train(
-        tiny_settings(steps=2, checkpoint_every=1, preview_every=0),
-        bodies,
-        front_logo(bodies),
-        [detector],
-        backgrounds,
-        out,
-        resume=resume,
-    )
+def run(out: Path, detector: Detector, resume: bool = True, **material: object):
+    return box_run(out, [detector], resume=resume, steps=2, checkpoint_every=1, preview_every=0, **material)
 
 
 def python_detector(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
@@ -133,20 +116,20 @@ def test_backgrounds_saved_anew_are_the_same_and_others_are_not(
     for i in range(2):
         picture(first, f"{i}.png", i)
         picture(second, f"{i} copy.png", i, compress_level=1)
-    before = run(tmp_path / "run", detector, load_backgrounds(first, (64, 64)), resume=False)
-    after = run(tmp_path / "again", detector, load_backgrounds(second, (64, 64)), resume=False)
+    before = run(tmp_path / "run", detector, backgrounds=load_backgrounds(first, (64, 64)), resume=False)
+    after = run(tmp_path / "again", detector, backgrounds=load_backgrounds(second, (64, 64)), resume=False)
     assert np.array_equal(before.colors, after.colors)
-    assert run(tmp_path / "run", detector, load_backgrounds(second, (64, 64))).step == 2
+    assert run(tmp_path / "run", detector, backgrounds=load_backgrounds(second, (64, 64))).step == 2
     picture(second, "1 copy.png", 7)
     with pytest.raises(InputError, match=r"backgrounds\.identities\[1\]"):
-        run(tmp_path / "run", detector, load_backgrounds(second, (64, 64)))
+        run(tmp_path / "run", detector, backgrounds=load_backgrounds(second, (64, 64)))
     # A version before this one knew pictures by their files.
     recorded = read_config(tmp_path / "run")
     recorded["backgrounds"] = {"count": 2, "identities": recorded["backgrounds"]["files"]}
     (tmp_path / "run" / "config.json").write_text(json.dumps(recorded))
-    assert run(tmp_path / "run", detector, load_backgrounds(first, (64, 64))).step == 2
+    assert run(tmp_path / "run", detector, backgrounds=load_backgrounds(first, (64, 64))).step == 2
     with pytest.raises(InputError, match=r"backgrounds\.identities\[0\]"):
-        run(tmp_path / "run", detector, load_backgrounds(second, (64, 64)))
+        run(tmp_path / "run", detector, backgrounds=load_backgrounds(second, (64, 64)))
 
 
 def test_other_code_and_packages_are_said_and_not_refused(

@@ -28,19 +28,15 @@ from tests.core.fakes import (
 from tests.core.fakes import tiny_settings as settings
 
 
-def run(out: Path, detectors=None, logo=None, resume=False, on_event=None, query_prior=(), **changes):
-    bodies = box_bodies()
-    return train(
-        settings(**changes),
-        bodies,
-        logo or front_logo(bodies),
-        detectors or [TinyDetector()],
-        noise_backgrounds(),
-        out,
-        resume=resume,
-        on_event=on_event,
-        query_prior=query_prior,
-    )
+def run(
+    out: Path, detectors=None, logo=None, bodies=None, backgrounds=None, resume=False, on_event=None, query_prior=(),
+    **changes,
+):  # fmt: skip
+    """A tiny training; whatever is not given is of a box before noise, by `TinyDetector`."""
+    bodies = bodies or box_bodies()
+    material = settings(**changes), bodies, logo or front_logo(bodies), detectors or [TinyDetector()]
+    more = {"resume": resume, "on_event": on_event, "query_prior": query_prior}
+    return train(*material, backgrounds or noise_backgrounds(), out, **more)
 
 
 def files(folder: Path) -> set[str]:
