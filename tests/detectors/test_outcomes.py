@@ -109,15 +109,6 @@ def test_nothing_told_and_no_boxes() -> None:
     )
     answer = on_body(none, BODY)
     assert answer.person.item() == answer.other.item() == answer.other_class.item() == 0
-    joined = join_detections(
-        [
-            none,
-            none._replace(
-                boxes=torch.ones(1, 2, 4),
-                scores=torch.ones(1, 2),
-                other=torch.ones(1, 2),
-                other_class=torch.ones(1, 2).long(),
-            ),
-        ]
-    )
+    two = torch.ones(1, 2)
+    joined = join_detections([none, Detections(torch.ones(1, 2, 4), two, other=two, other_class=two.long())])
     assert joined.other.tolist() == [[0, 0], [1, 1]] and joined.other_class.dtype == torch.int64

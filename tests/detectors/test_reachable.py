@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import types
-from collections import OrderedDict, deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
@@ -97,11 +96,6 @@ class Model(Called):
     metadata: ClassVar = {"id": "mine", "index2label": {0: "person"}}
 
 
-class Listed(list):
-    def __call__(self, picture: np.ndarray) -> list:
-        return answer(picture)
-
-
 @dataclasses.dataclass
 class Record:
     value: object
@@ -154,29 +148,16 @@ def asks_a_module(value: object) -> Callable:
 ARRAY = np.arange(6, dtype=np.float32)
 PAIRS = {
     "closure": (closing_over, 0.2, 0.3),
-    "sign of zero": (closing_over, 0.0, -0.0),
     "whole or not": (closing_over, 1, 1.0),
     "closure of a closure": (lambda v: closing_over(closing_over(v)), 1, 2),
-    "closed over text": (closing_over, "a", "b"),
-    "closed over bytes": (closing_over, b"a", b"b"),
     "closed over array": (closing_over, ARRAY, ARRAY + np.float32(1e-6)),
-    "shape of an array": (closing_over, ARRAY, ARRAY.reshape(2, 3)),
-    "type of an array": (closing_over, ARRAY.astype(np.int32), ARRAY.astype(np.uint32)),
     "array of objects": (closing_over, np.array([1, None]), np.array([2, None])),
     "masked array": (closing_over, np.ma.array([1, 2], mask=[0, 1]), np.ma.array([1, 2], mask=[1, 0])),
-    "number of numpy's": (closing_over, np.float32(1), np.float64(1)),
     "tensor": (closing_over, torch.ones(3), torch.ones(3) * 2),
-    "half tensor": (closing_over, torch.ones(3).bfloat16(), torch.zeros(3).bfloat16()),
-    "tensor in a list": (closing_over, [torch.ones(1)], [torch.zeros(1)]),
     "order of a list": (closing_over, [1, 2], [2, 1]),
-    "nested tuple": (closing_over, (1, (2, 3)), (1, (2, 4))),
     "list or tuple": (closing_over, [1], (1,)),
     "value in a dict": (closing_over, {"a": 1}, {"a": 2}),
-    "key of a dict": (closing_over, {"a": 1}, {"b": 1}),
     "set": (closing_over, {1, 2}, {1, 3}),
-    "ordered dict": (closing_over, OrderedDict(a=1), OrderedDict(a=2)),
-    "deque": (closing_over, deque([1]), deque([2])),
-    "range": (closing_over, range(3), range(4)),
     "slice": (closing_over, slice(3), slice(4)),
     "path": (closing_over, Path("a"), Path("b")),
     "type of torch": (closing_over, torch.float16, torch.bfloat16),
@@ -185,8 +166,6 @@ PAIRS = {
     "class as a value": (closing_over, Called, Slotted),
     "bound method": (lambda v: Called(v).method, 1, 2),
     "partial": (lambda v: functools.partial(answer, score=v), 0.1, 0.2),
-    "partial, by place": (lambda v: functools.partial(with_default(0), np.array(v)), 1, 2),
-    "cached": (lambda v: functools.lru_cache(closing_over(v)), 1, 2),
     "wrapped": (lambda v: torch.no_grad()(closing_over(v)), 1, 2),
     "default": (with_default, 0.2, 0.3),
     "default of a name": (with_named_default, 0.2, 0.3),
@@ -194,17 +173,13 @@ PAIRS = {
     "global": (with_global, 0.5, 0.6),
     "what a module holds": (asks_a_module, 0.5, 0.6),
     "attribute": (Called, 1, 2),
-    "attribute's attribute": (lambda v: Called(Called(v)), 1, 2),
     "slot": (Slotted, 1, 2),
     "pickled otherwise": (Silent, 1, 2),
     "attribute of a class": (class_with, 1, 2),
     "attribute of a base": (inherits_from, 1, 2),
     "method of a class": (class_with, closing_over(1), closing_over(2)),
-    "items of a list of mine": (Listed, [1], [2]),
     "cycle": (cyclic, 1, 2),
     "model of MAITE's": (Model, 1, 2),
-    "model around a tensor": (Model, torch.ones(2), torch.zeros(2)),
-    "module's plain attribute": (lambda v: Net(threshold=v), 0.2, 0.3),
     "module's tensor that is none of its": (lambda v: Net(table=[torch.tensor(v)]), 1.0, 2.0),
     "module's function": (lambda v: Net(after=closing_over(v)), 1, 2),
     "module's buffer": (net_with_buffer, 1.0, 2.0),
@@ -258,8 +233,6 @@ def test_an_object_that_changes_after_it_was_given_is_another() -> None:
 @pytest.mark.slow
 def test_another_process_finds_the_same() -> None:
     script = "from tests.detectors.test_reachable import PAIRS\nfrom cloak_core.detectors.reachable import content_of\n"
-    script += (
-        "print(*(content_of(make(value)) for n, (make, *values) in PAIRS.items() if n != 'cached' for value in values))"
-    )
+    script += "print(*(content_of(make(value)) for n, (make, *values) in PAIRS.items() for value in values))"
     found = {subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout for _ in range(2)}
-    assert len(found) == 1 and len(next(iter(found)).split()) == 2 * len(PAIRS) - 2
+    assert len(found) == 1 and len(next(iter(found)).split()) == 2 * len(PAIRS)

@@ -120,29 +120,6 @@ def test_our_own_families(family: str, tmp_path: Path) -> None:
     assert {key: type(report[key]) for key in KEYS} == KEYS
 
 
-LONG = pytest.param("fasterrcnn_mobilenet_v3_large_320_fpn", marks=pytest.mark.long)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["ssdlite320_mobilenet_v3_large", LONG])
-def test_torchvision(name: str, tmp_path: Path) -> None:
-    from tests.detectors.test_torchvision import SIDE, Case
-
-    detector = load_detector(f"torchvision:{name}:{Case(name, tmp_path).path}@{SIDE},person=1")
-    report = verify(detector, images(4))
-    assert report["failed"] == [] and report["parity_scores"] < 1e-4
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["DFine", "Yolos", "Detr", "ConditionalDetr"])
-def test_transformers(name: str, tmp_path: Path) -> None:
-    from tests.detectors.test_transformers import save
-
-    save(name, tmp_path)
-    report = verify(load_detector(f"transformers:{tmp_path}@64x96"), images(4, 64, 96))
-    assert report["failed"] == [] and report["gradient_error"] < 0.1
-
-
 EXAMPLE = Path(__file__).parents[2] / "examples" / "my_detector.py"
 
 
