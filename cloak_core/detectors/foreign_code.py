@@ -95,7 +95,7 @@ def excused(spec: str, file: Path | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def set_back(signals: bool = False) -> Iterator[None]:
-    """Set back what the block changes of the process: all of `_KEPT`, and the state of random numbers.
+    """Set back what the block changes of the process: modes, folder, streams, path, warnings, random numbers.
 
     Inference scripts set such things when they are imported, and we and other detectors would then compute otherwise,
     or write elsewhere. signals: also who hears Ctrl-C and the request to end, which only the main thread may change.
@@ -103,6 +103,9 @@ def set_back(signals: bool = False) -> Iterator[None]:
     kept = [*_KEPT, *(_SIGNALS if signals and threading.current_thread() is threading.main_thread() else ())]
     before = [read() for read, _ in kept]
     seeds = torch.get_rng_state(), np.random.get_state(), random.getstate()
+    path, raising, folder = [*sys.path], _raising(), None
+    with contextlib.suppress(OSError):  # somebody has removed it
+        folder = os.getcwd()
     try:
         with contextlib.redirect_stdout(sys.stdout), contextlib.redirect_stderr(sys.stderr), np.errstate():
             yield
@@ -110,7 +113,18 @@ def set_back(signals: bool = False) -> Iterator[None]:
         for (read, write), value in zip(kept, before, strict=True):
             if read() != value:
                 write(value)
+        if folder is not None:
+            os.chdir(folder)
+        # What was added stays at the end: the code may import more when it is called, and hides nothing of ours there.
+        sys.path[:] = path + [place for place in sys.path if place not in path]
+        if (added := _raising()) != raising:
+            warnings.filters[:] = [rule for rule in warnings.filters if rule not in added or rule in raising]
         _reseed(*seeds)
+
+
+def _raising() -> list[tuple]:
+    """List the filters that make warnings errors."""
+    return [rule for rule in warnings.filters if rule[0] == "error"]
 
 
 def _reseed(of_torch: Tensor, of_numpy: tuple, of_python: tuple) -> None:
@@ -138,27 +152,6 @@ def _set_device(device: torch.device) -> None:
     torch.set_default_device(None if device.type == "cpu" else device)
 
 
-def _working_folder() -> str | None:
-    try:
-        return os.getcwd()
-    except OSError:  # somebody has removed it
-        return None
-
-
-def _set_folder(folder: str | None) -> None:
-    if folder is not None:
-        os.chdir(folder)
-
-
-def _set_path(path: list[str]) -> None:
-    # What was added stays at the end: the code may import more when it is called, and hides nothing of ours from there.
-    sys.path[:] = path + [place for place in sys.path if place not in path]
-
-
-def _set_raising(rules: list[tuple]) -> None:
-    warnings.filters[:] = [rule for rule in warnings.filters if rule[0] != "error" or rule in rules]
-
-
 _entered: list[torch.inference_mode] = []
 _KEPT: tuple[tuple[Callable[[], object], Callable[..., object]], ...] = (
     (torch.is_inference_mode_enabled, _set_inference),
@@ -168,11 +161,8 @@ _KEPT: tuple[tuple[Callable[[], object], Callable[..., object]], ...] = (
     (torch.get_num_threads, torch.set_num_threads),
     (torch.are_deterministic_algorithms_enabled, torch.use_deterministic_algorithms),
     (lambda: torch.is_autocast_enabled("cpu"), lambda on: torch.set_autocast_enabled("cpu", on)),
-    (_working_folder, _set_folder),
-    (lambda: [*sys.path], _set_path),
-    (lambda: [rule for rule in warnings.filters if rule[0] == "error"], _set_raising),
 )
-"""What is set back: how it is read, and written. Inference mode comes first, for it changes the gradients' mode."""
+"""Modes that are set back: how each is read, and written. Inference mode comes first: it changes that of gradients."""
 _SIGNALS = tuple(
     (functools.partial(signal.getsignal, number), functools.partial(signal.signal, number))
     for number in (signal.SIGINT, signal.SIGTERM)

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import at_least_float32
 from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
+from cloak_core.detectors.onnx_family.decoders import RawYolo
 
 Maps = list[tuple[Tensor, Tensor]]
 """For each branch and stride, what the network says before any activation: of boxes [B, 4 * bins, h, w], and of classes
@@ -52,16 +53,13 @@ class DenseHead(nn.Module):
         corner = []
         for (box, _), stride in zip(maps, self.strides * len(self.branches), strict=True):
             sides = distances(box)
-            middle = _cells(box).flatten(0, 1) + 0.5
+            middle = cell_places(*box.shape[-2:]).flatten(0, 1).to(sides) + 0.5
             corner.append(torch.cat([middle - sides[..., :2], middle + sides[..., 2:]], dim=-1) * stride)
         return Decoded(torch.cat(corner, dim=1), torch.cat([rows(kind).sigmoid() for _, kind in maps], dim=1))
 
 
 class AnchorHead(nn.Module):
-    """YOLOv5's own head: at every cell a box for each anchor, with objectness.
-
-    centre = (2 sigmoid(t) - 0.5 + cell) * stride, size = (2 sigmoid(t))^2 * anchor.
-    """
+    """YOLOv5's own head: at every cell a box for each anchor, with objectness (`RawYolo`)."""
 
     def __init__(
         self,
@@ -80,6 +78,7 @@ class AnchorHead(nn.Module):
         self.strides = [float(stride) for stride in strides]
         self.m = nn.ModuleList(nn.Conv2d(c, anchors.shape[1] * (5 + classes), 1) for c in channels)
         self.register_buffer("anchors", anchors)
+        self.raw = RawYolo(tuple(tuple(map(tuple, level)) for level in anchors.tolist()))
 
     def forward(self, features: list[Tensor]) -> list[Float[Tensor, "B _ _ _"]]:
         """Run on feature maps [B, C, h, w], one a stride: [B, A * (4 + 1 + classes), h, w]."""
@@ -87,14 +86,8 @@ class AnchorHead(nn.Module):
 
     def decode(self, maps: list[Float[Tensor, "B _ _ _"]]) -> Decoded:
         """Decode boxes in pixels of the network's input, classes and objectness."""
-        found = []
-        for x, stride, anchors in zip(maps, self.strides, self.anchors, strict=True):
-            raw = at_least_float32(x).unflatten(1, (len(anchors), -1)).permute(0, 1, 3, 4, 2).sigmoid()
-            centre = (raw[..., :2] * 2 - 0.5 + _cells(x)) * stride
-            size = (raw[..., 2:4] * 2) ** 2 * anchors[:, None, None]
-            found.append(torch.cat([centre, size, raw[..., 4:]], dim=-1).flatten(1, 3))
-        joined = torch.cat(found, dim=1)
-        return Decoded(corners(joined[..., :4]), joined[..., 5:], joined[..., 4])
+        size = tuple(round(side * self.strides[0]) for side in maps[0].shape[2:])
+        return self.raw([at_least_float32(x) for x in maps], size)
 
 
 def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
@@ -109,11 +102,6 @@ def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
 def rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
     """Flatten a map to one row for each of its cells, at least float32."""
     return at_least_float32(x).flatten(2).transpose(1, 2)
-
-
-def _cells(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "h w 2"]:
-    """Compute column and row of every cell of a feature map."""
-    return cell_places(*x.shape[-2:]).to(x.device, torch.promote_types(x.dtype, torch.float32))
 
 
 def distances(box: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n 4"]:
