@@ -161,7 +161,7 @@ class RawYolo:
     """One output for each stride, [B, A (5 + K), h, w] or [B, A, h, w, 5 + K], as anchor-based YOLOs have them before
     anything is decoded: offsets, sizes, objectness and classes, all as logits."""
 
-    anchors: tuple[tuple[tuple[float, float], ...], ...]
+    anchors: tuple[tuple[tuple[float | int, float | int], ...], ...]
     """For each stride, the finest first: widths and heights, pixels of the input."""
     exponential: bool = False
     """Sizes are anchor * exp(t) (YOLOv3, arXiv:1804.02767, section 2.1), not anchor * (2 sigmoid(t))^2, and offsets
