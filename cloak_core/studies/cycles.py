@@ -28,7 +28,6 @@ from cloak_core.core.images import ImageSet, Indices
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import read_picture
 from cloak_core.core.visibility.normals import NormalOperator
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
@@ -72,16 +71,10 @@ def in_cycles(
     images: ImageSet, patterns: Patterns, out: Path, light: str, on_progress: OnProgress | None
 ) -> CyclesImages:
     """Render the trials in one light of Cycles, in the first outfit; frames are kept in a folder in `out`."""
-    require_blender()
     # Every other outfit would need frames of its own.
     images = replace(images, trials=images.trials.assign(outfit=0))
-    done = itertools.count(1)
-    frames = len(first_trials(images.trials)) * len(patterns)
-
-    def on_frame(_: str) -> None:
-        if on_progress:
-            on_progress(next(done), frames)
-
+    done, frames = itertools.count(1), len(first_trials(images.trials)) * len(patterns)
+    on_frame = lambda _: on_progress and on_progress(next(done), frames)
     return CyclesImages.of(images, patterns, render_frames(images, patterns, out, SAMPLES, on_frame, (light,)), light)
 
 
@@ -99,8 +92,7 @@ def render_frames(
     goes on. The first outfit is worn throughout, and "random" has one draw.
     """
     python = require_blender()
-    colors = np.stack([_triangle_colors(images, pattern) for pattern in patterns.values()])
-    camera = _camera(images, 0)
+    bodies, camera = images.source.bodies, _camera(images, 0)
     job = {
         "size": camera.height,
         "samples": samples,
@@ -113,9 +105,15 @@ def render_frames(
             for number, name in enumerate(patterns)
         ],
     }
-    bodies = images.source.bodies
-    normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
-    mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
+    # The vertex normals that our renderer shades with.
+    operator = NormalOperator(torch.from_numpy(bodies.triangles.T.astype(np.int64)), bodies.vertex_count)
+    normals = [operator(torch.from_numpy(vertices.T.astype(np.float64))).T.numpy() for vertices in bodies.vertices]
+    mesh = {
+        "vertices": bodies.vertices,
+        "normals": np.stack(normals),
+        "triangles": bodies.triangles,
+        "colors": np.stack([_triangle_colors(images, pattern) for pattern in patterns.values()]),
+    }
     content = [sha256_arrays(*mesh.values()), job, source_hash(SCRIPT), bpy_version(python)]
     folder = out / sha256_record(content)[:16]
     folder.mkdir(parents=True, exist_ok=True)
@@ -142,7 +140,7 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
         finally:
             process.terminate()  # only where we leave early: it has closed its output otherwise
             code = process.wait()
-    missing = [f["file"] for f in read_json(folder / "job.json")["frames"]]
+    missing = [frame["file"] for frame in read_json(folder / "job.json")["frames"]]
     missing = [name for name in missing if not (folder / name).exists()]
     if missing:
         tail = "\n".join(read_text(log, MAX_TEXT_BYTES, errors="replace").splitlines()[-20:])
@@ -179,13 +177,6 @@ def _triangle_colors(images: ImageSet, pattern: Pattern) -> Float32[np.ndarray, 
     (view,) = images.views([0], pattern)
     faces[ids] = pattern.on_faces(pattern.colors_in(view, 0).cpu().numpy())
     return faces[bodies.triangle_face]
-
-
-def _normals(bodies: Bodies, pose: int) -> Float32[np.ndarray, "V 3"]:
-    """Compute the vertex normals that our renderer shades with."""
-    triangles, vertices = bodies.triangles.T.astype(np.int64), bodies.vertices[pose].T.astype(np.float64)
-    operator = NormalOperator(torch.from_numpy(triangles), bodies.vertex_count)
-    return operator(torch.from_numpy(vertices)).T.contiguous().numpy()
 
 
 @dataclass(eq=False)
@@ -259,8 +250,5 @@ def image_difference(ours: ImageSet, cycles: CyclesImages, pattern: Pattern) -> 
         either.append(difference[:, (covered > 0) | (alpha > 0)].flatten())
         both.append(difference[:, (covered > 1 - 1e-4) & (alpha == 1)].flatten())
     shown, inside = torch.cat(either), torch.cat(both)
-    return {"rms": _rms(shown), "inside": _rms(inside), "bias": float(shown.mean()) if len(shown) else 0.0}
-
-
-def _rms(values: Tensor) -> float:
-    return float((values**2).mean().sqrt()) if len(values) else 0.0
+    rms = lambda values: float((values**2).mean().sqrt()) if len(values) else 0.0
+    return {"rms": rms(shown), "inside": rms(inside), "bias": float(shown.mean()) if len(shown) else 0.0}

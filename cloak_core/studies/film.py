@@ -177,7 +177,11 @@ def camera_path(settings: FilmSettings, poses: int) -> pd.DataFrame:
     of keyframes, too many frames.
     """
     keys = None if settings.camera in KINDS else read_keyframes(Path(settings.camera), settings)
-    seconds = settings.seconds or _usual_seconds(settings, poses, keys)
+    once = poses / (settings.poses_per_second or settings.fps)
+    usual = once if settings.camera == "still" else max(once, LEAST_SECONDS)
+    if keys is not None:
+        usual = max(float(keys["time"][-1]), 1 / settings.fps)
+    seconds = settings.seconds or usual
     count = max(1, round(seconds * settings.fps))
     if count * len(settings.angles) > MOST_FRAMES:
         raise InputError(f"--seconds: {count * len(settings.angles):,} frames in all, more than {MOST_FRAMES:,}")
@@ -213,10 +217,3 @@ def read_keyframes(path: Path, settings: FilmSettings) -> dict[str, np.ndarray]:
     if (keys["distance"] <= 0).any() or (np.abs(keys["elevation"]) > 90).any():
         raise InputError(f"{path}: distances are above 0, elevations within -90 and 90 degrees")
     return keys
-
-
-def _usual_seconds(settings: FilmSettings, poses: int, keys: dict | None) -> float:
-    if keys is not None:
-        return max(float(keys["time"][-1]), 1 / settings.fps)
-    once = poses / (settings.poses_per_second or settings.fps)
-    return once if settings.camera == "still" else max(once, LEAST_SECONDS)

@@ -74,7 +74,9 @@ class _Drawing:
         for side, control in enumerate(SIDES):
             left, middle = side * (size + self.gap), self.head / 2
             verdict = self._draw_boxes(pictures[control], index, control)
-            words = VERDICTS[verdict] + ("" if verdict else self._instead(index, control))
+            # What is reported on the body though no person is.
+            others = sorted({self.others[spec, control][index] for spec in self.detectors} - {""})
+            words = VERDICTS[verdict] + (f", but: {', '.join(others)}" if others and not verdict else "")
             frame.paste(pictures[control], (left, self.head))
             name = SERIES[control]
             draw.text((left + self.gap, middle), name.label, name.color, _font(self.text, bold=True), "lm")
@@ -84,11 +86,6 @@ class _Drawing:
         x = self._x(index)
         draw.line((x, self.head + size + 1, x, frame.height - 1), fill=INK, width=max(1, self.text // 8))
         return frame
-
-    def _instead(self, index: int, control: str) -> str:
-        """Name what is reported on the body though no person is; "" for nothing."""
-        others = sorted({self.others[spec, control][index] for spec in self.detectors} - {""})
-        return f", but: {', '.join(others)}" if others else ""
 
     def _draw_boxes(self, picture: Image.Image, index: int, control: str) -> int:
         """Draw every detector's boxes, thinly those above its own threshold alone; return which of `VERDICTS` it is."""

@@ -22,7 +22,6 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.settings.values import from_plain
 from cloak_core.core.visibility.settings import RenderSettings
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
@@ -86,12 +85,6 @@ class Look:
             values["pivot"] = tuple(from_plain("pivot", value, float) for value in pivot)
         return Look(**values)
 
-    @property
-    def camera(self) -> Camera:
-        return Camera(
-            **{field.name: getattr(self, field.name) for field in fields(Camera) if hasattr(self, field.name)}
-        )
-
 
 class Looker:
     """Answer requests one after the other; keep the last scene and backgrounds open for the next."""
@@ -99,7 +92,7 @@ class Looker:
     def __init__(self, detectors: Mapping[str, Detector]) -> None:
         self._detectors = detectors
         self._device = next(iter(detectors.values())).device
-        self._scene: tuple[object, Bodies, BodySource] | None = None
+        self._scene: tuple[object, BodySource] | None = None
         self._backdrops: tuple[str, Backgrounds] | None = None
 
     @torch.no_grad()
@@ -117,19 +110,21 @@ class Looker:
         seen = {spec: {"operating_point": judge.operating_point} for spec, judge in self._detectors.items()}
         with written(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        pictures = {name: folder / f"{name}.png" for name in images}
+        pictures = {}
         for name, image in images.items():
             answer = reported(image, self._detectors, LEAST_SCORE)
             for spec, by_picture in seen.items():
                 by_picture[name] = {"max_person": answer["scores"][spec], "boxes": answer["boxes"][spec]}
-            save_picture(pictures[name], to_pil(image[0]))
-        result = {"detectors": seen, "pictures": {name: str(path) for name, path in pictures.items()}}
-        result |= {"width": asked.width, "height": asked.height, "seconds": round(time.monotonic() - begun, 3)}
+            pictures[name] = str(folder / f"{name}.png")
+            save_picture(folder / f"{name}.png", to_pil(image[0]))
+        result = {"detectors": seen, "pictures": pictures, "width": asked.width, "height": asked.height}
+        result["seconds"] = round(time.monotonic() - begun, 3)
         write_json(folder / ANSWER, result)
         return result
 
     def _images(self, asked: Look) -> dict[str, Float[Tensor, "1 3 H W"]]:
-        bodies, source = self._open(asked.scene)
+        source = self._open(asked.scene)
+        bodies = source.bodies
         if not 0 <= asked.pose < bodies.pose_count:
             raise InputError(f"pose {asked.pose}: scene '{bodies.name}' has {bodies.pose_count}")
         if asked.logo is None or asked.colors is None:
@@ -138,11 +133,13 @@ class Looker:
         else:
             cover = load_logo(bodies, asked.logo)
             patterns = {CLOTHING: OwnClothing(cover), CLOAK: _worn(asked, cover)}
-        backdrops = self._backgrounds(asked.backgrounds)
-        size = asked.height, asked.width
-        source = source.planned(None, asked.camera)
+        if self._backdrops is None or self._backdrops[0] != asked.backgrounds:
+            self._backdrops = asked.backgrounds, load_backgrounds(asked.backgrounds)
+        _, backdrops = self._backdrops
+        camera = {field.name: getattr(asked, field.name) for field in fields(Camera) if hasattr(asked, field.name)}
+        source = source.planned(None, Camera(**camera))
         source.on_cloth = any(pattern.needs_cloth for pattern in patterns.values())
-        images = ImageSet(source, backdrops, size, self._device)
+        images = ImageSet(source, backdrops, (asked.height, asked.width), self._device)
         shown = {name: getattr(asked, name) for name in ("pose", "outfit", "azimuth", "elevation", "distance")}
         found = {}
         for name, pattern in patterns.items():
@@ -151,19 +148,13 @@ class Looker:
             found[name] = dressed(views, pattern, rows).paint(pattern.colors_in(views[0], 0))
         return found
 
-    def _open(self, spec: str) -> tuple[Bodies, BodySource]:
+    def _open(self, spec: str) -> BodySource:
         files = [path for path in (Path(spec), Path(spec) / "bodies.npz") if path.exists()]
         key = (spec, tuple(path.stat().st_mtime_ns for path in files))
         if self._scene is None or self._scene[0] != key:
-            bodies = load_scene(spec)
             settings = RenderSettings(device=self._device, memory_bytes=1 << 28)
-            self._scene = key, bodies, BodySource(bodies, settings, Camera())
-        return self._scene[1:]
-
-    def _backgrounds(self, spec: str) -> Backgrounds:
-        if self._backdrops is None or self._backdrops[0] != spec:
-            self._backdrops = spec, load_backgrounds(spec)
-        return self._backdrops[1]
+            self._scene = key, BodySource(load_scene(spec), settings, Camera())
+        return self._scene[1]
 
 
 def _worn(asked: Look, cover: Cover) -> Pattern:

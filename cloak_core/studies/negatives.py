@@ -74,7 +74,8 @@ def flat_scores(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, se
     of the zoo have no "flat cloak".
     """
     cloaks = cloak_textures(bodies)
-    clothes = clothing_textures(bodies)
+    flat = FlatCloth(face_centres(bodies), face_normals(bodies))
+    clothes = [flat.texture(np.asarray(outfit, np.float32)) for outfit in bodies.face_colors]
     rows = []
     size = 416
     for image in range(FLAT_COUNT):
@@ -102,10 +103,11 @@ def pattern_alarms(detector: Detector, backgrounds: Backgrounds, bodies: Bodies,
     table = pd.concat([mixed, flat_scores(detector, backgrounds, bodies, seed)])
     alarms = {}
     for kind, rows in table.groupby("pattern"):
-        alarms[str(kind)] = {"n": len(rows)}
+        told = {"n": len(rows)}
         for end, threshold in (("", THRESHOLD), ("_own", detector.operating_point)):
             for name, column in (("alarms", "score"), ("plain", "plain")):
-                alarms[str(kind)][name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
+                told[name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
+        alarms[str(kind)] = told
     return alarms
 
 
@@ -129,24 +131,17 @@ def _flat_textures(
         "flat blocks": np.kron(rng.random((3, CELLS, CELLS)), np.ones((1, side, side))),
         "flat noise": rng.random((3, TEXTURE, TEXTURE)),
         "flat plain": np.tile(rng.random((3, 1, 1)), (1, TEXTURE, TEXTURE)),
+        "flat clothing": clothes[rng.integers(len(clothes))],
     }
-    worn = {"flat clothing": clothes[rng.integers(len(clothes))]}
-    worn |= {"flat cloak": cloaks[rng.integers(len(cloaks))]} if cloaks else {}
-    textures = {kind: texture.astype(np.float32) for kind, texture in drawn.items()} | worn
-    return {kind: textures[kind] for kind in FLAT if kind in textures}
-
-
-def clothing_textures(bodies: Bodies) -> list[Texture]:
-    """Lay what the bodies wear flat, seen from the front: a texture for each outfit."""
-    flat = FlatCloth(face_centres(bodies), face_normals(bodies))
-    return [flat.texture(np.asarray(outfit, np.float32)) for outfit in bodies.face_colors]
+    if cloaks:
+        drawn["flat cloak"] = cloaks[rng.integers(len(cloaks))]
+    return {kind: drawn[kind].astype(np.float32) for kind in FLAT if kind in drawn}
 
 
 def cloak_textures(bodies: Bodies) -> list[Texture]:
     """Lay the zoo's cloaks that these bodies can wear flat, by name."""
     textures = []
-    centres = face_centres(bodies)
-    normals = face_normals(bodies)
+    centres, normals = face_centres(bodies), face_normals(bodies)
     for name in sorted(shelved()):
         folder = run_path(MARK + name)
         if read_run(folder).get("topology") == bodies.topology:

@@ -46,20 +46,20 @@ def summarize_film(results: Results, settings: FilmSettings, approaches: bool) -
     """
     rows = {spec: {control: results.rows(spec, control) for control in results.controls} for spec in results.detectors}
     detectors = {
-        spec: {name: film_record(results, mine, settings, approaches) for name, mine in by_control.items()}
+        spec: {name: film_record(results, frames, settings, approaches) for name, frames in by_control.items()}
         for spec, by_control in rows.items()
     }
-    spec = results.detectors[0]
-    first = rows[spec][results.controls[0]]
-    told = detectors[spec][results.controls[0]]
+    spec, cloak = results.detectors[0], results.controls[0]
+    first = rows[spec][cloak]
+    keys = ("hidden", "renamed", "gone", "longest_run", "first_sight_m", "tracks")
     return {
         "frames": len(first),
-        **{key: told[key] for key in ("hidden", "renamed", "gone", "longest_run", "first_sight_m", "tracks")},
+        **{key: detectors[spec][cloak][key] for key in keys},
         "takes": int(first["take"].max()) + 1,
         "threshold": settings.threshold,
         "left_out": int((~in_picture(first)).sum()),
         "detectors": detectors,
-        "operating_points": {spec: operating_point(mine[results.controls[0]]) for spec, mine in rows.items()},
+        "operating_points": {spec: operating_point(frames[cloak]) for spec, frames in rows.items()},
     }
 
 
@@ -72,12 +72,13 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
     first one where the camera approaches, likewise (takes without any are counted in never_seen). tracks: confirmed at
     the detector's own threshold, in all takes.
     """
-    threshold, own, body = settings.threshold, operating_point(frames), in_picture(frames)
-    shown = frames[body]
+    threshold, own = settings.threshold, operating_point(frames)
+    takes = [take for _, take in frames.groupby("take")]
+    shown = frames[in_picture(frames)]
     seen_clean = shown[(shown["clean"] > threshold).to_numpy()]
     several = shown["take"].nunique() > 1
     hits = rate_record("success", rate(shown, hidden(shown, threshold), CLUSTERS)) if several else {"ci95": None}
-    told = {
+    record = {
         "hidden": finite(share(shown, threshold)),
         "hidden_own": finite(share(shown, own)),
         "hidden_iou": finite(share(shown, threshold, "score_on")),
@@ -87,27 +88,18 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
         "n": len(shown),
     }
     for suffix, at in (("", threshold), ("_own", own)):
-        takes = [(take, ~hidden(take, at) & in_picture(take)) for _, take in frames.groupby("take")]
-        run = float(np.median([longest_run(seen) for _, seen in takes]))
-        told[f"longest_run{suffix}"] = int(run) if run.is_integer() else run
-        first = [take["distance"].to_numpy()[seen][:1] for take, seen in takes]
-        distances = [float(one[0]) for one in first if len(one)]
+        seen = [~hidden(take, at) & in_picture(take) for take in takes]
+        run = float(np.median(list(map(longest_run, seen))))
+        record[f"longest_run{suffix}"] = int(run) if run.is_integer() else run
+        at_first = [take["distance"].to_numpy()[found] for take, found in zip(takes, seen, strict=True)]
+        distances = [float(values[0]) for values in at_first if len(values)]
         middle = finite(float(np.median(distances)), 4) if distances else None
-        told[f"first_sight_m{suffix}"] = middle if approaches else None
-        told[f"never_seen{suffix}"] = len(first) - len(distances) if approaches else None
-    return told | _tracks_record(results, frames, settings)
-
-
-def _tracks_record(results: Results, frames: pd.DataFrame, settings: FilmSettings) -> dict:
-    """Count confirmed tracks, the takes with one, and the share of frames in which one has a box."""
-    takes = [take for _, take in frames.groupby("take")]
-    by_take = [track(frame_boxes(results, take, operating_point(frames)), settings) for take in takes]
-    tracked = sum(len(set().union(*(one.boxes for one in tracks))) for tracks in by_take)
-    return {
-        "tracks": sum(map(len, by_take)),
-        "tracked_takes": sum(map(bool, by_take)),
-        "tracked": finite(tracked / len(frames)),
-    }
+        record[f"first_sight_m{suffix}"] = middle if approaches else None
+        record[f"never_seen{suffix}"] = len(takes) - len(distances) if approaches else None
+    tracks = [track(frame_boxes(results, take, own), settings) for take in takes]
+    tracked = sum(len(set().union(*(one.boxes for one in of_take))) for of_take in tracks)
+    record |= {"tracks": sum(map(len, tracks)), "tracked_takes": sum(map(bool, tracks))}
+    return record | {"tracked": finite(tracked / len(frames))}
 
 
 def in_picture(frames: pd.DataFrame) -> Bool[np.ndarray, " N"]:
@@ -132,20 +124,29 @@ def frame_boxes(results: Results, frames: pd.DataFrame, above: float) -> list[Fl
 
 def frame_rows(results: Results, threshold: float) -> list[dict]:
     """Tell what every frame shows and what every detector says of it, ready for JSON."""
-    rows = {(s, c): results.rows(s, c) for s in results.detectors for c in results.controls}
-    told = {key: _frame_verdicts(results, mine, threshold) for key, mine in rows.items()}
-    frames = []
+    rows = {(spec, control): results.rows(spec, control) for spec in results.detectors for control in results.controls}
+    verdicts = {key: _frame_verdicts(results, frames, threshold) for key, frames in rows.items()}
+    told = []
     for k, frame in enumerate(next(iter(rows.values())).to_dict("records")):
-        place = {name: round(float(frame[name]), 4) for name in ("angle", "elevation", "distance")}
-        label = {"take": int(frame["take"]), "time": round(float(frame["time"]), 4), "body": frame["body"]}
-        detectors = {s: {c: told[s, c][k] for c in results.controls} for s in results.detectors}
-        true_box = [float(frame[name]) for name in TRUE_BOX]
-        frames.append(label | place | {"true_box": true_box, "detectors": detectors})
-    return frames
+        place = {name: round(float(frame[name]), 4) for name in ("time", "angle", "elevation", "distance")}
+        detectors = {
+            spec: {control: verdicts[spec, control][k] for control in results.controls} for spec in results.detectors
+        }
+        told.append(
+            {
+                "take": int(frame["take"]),
+                "time": place.pop("time"),
+                "body": frame["body"],
+                **place,
+                "true_box": [float(frame[name]) for name in TRUE_BOX],
+                "detectors": detectors,
+            }
+        )
+    return told
 
 
 def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> list[dict]:
-    boxes: Sequence[np.ndarray] = frame_boxes(results, rows, min(threshold, operating_point(rows)))
+    boxes = frame_boxes(results, rows, min(threshold, operating_point(rows)))
     columns = zip(rows["score"], hidden(rows, threshold), rows["other"], rows["other_name"], boxes, strict=True)
     return [
         {
@@ -153,9 +154,9 @@ def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> l
             "hidden": bool(gone),
             "other": finite(other, 4),
             "other_name": name or None,
-            "boxes": mine.round(4).tolist(),
+            "boxes": found.round(4).tolist(),
         }
-        for score, gone, other, name, mine in columns
+        for score, gone, other, name, found in columns
     ]
 
 
@@ -182,11 +183,11 @@ def track(frames: Sequence[Float[np.ndarray, "_ 5"]], settings: FilmSettings) ->
     for index, boxes in enumerate(frames):
         matched = _match(live, boxes, settings.track_iou)
         for position, one in enumerate(live):
-            one.missed = 0 if position in matched else one.missed + 1
+            one.missed += 1
             if position in matched:
-                one.boxes[index], one.last = matched[position], boxes[matched[position]]
-        fresh = [Track(boxes={index: b}, last=box) for b, box in enumerate(boxes) if b not in matched.values()]
-        live = [one for one in [*live, *fresh] if one.missed <= (settings.track_misses if one.number else 0)]
+                one.missed, one.boxes[index], one.last = 0, matched[position], boxes[matched[position]]
+        live += [Track(boxes={index: b}, last=box) for b, box in enumerate(boxes) if b not in matched.values()]
+        live = [one for one in live if one.missed <= (settings.track_misses if one.number else 0)]
         for one in live:
             if not one.number and len(one.boxes) >= settings.track_hits:
                 confirmed.append(one)
@@ -198,8 +199,8 @@ def _match(live: Sequence[Track], boxes: Float[np.ndarray, "n 5"], least: float)
     """Match tracks (by position) to boxes (by index), the largest overlaps first."""
     if not live or not len(boxes):
         return {}
-    last, found_boxes = (torch.from_numpy(rows[:, :4]) for rows in (np.stack([one.last for one in live]), boxes))
-    overlap = box_iou(last[:, None], found_boxes).numpy()
+    last = torch.from_numpy(np.stack([one.last for one in live])[:, None, :4])
+    overlap = box_iou(last, torch.from_numpy(boxes[:, :4])).numpy()
     found: dict[int, int] = {}
     for flat in np.argsort(-overlap, axis=None, kind="stable"):
         position, box = divmod(int(flat), len(boxes))

@@ -68,11 +68,9 @@ _FAMILIES = {
 def family_of(spec: str) -> str:
     """Read a detector's family from its spec: darknet:yolov3.cfg:... -> "yolo", onnx:nanodet_m.onnx -> "nanodet"."""
     name = short_name(spec).lower()
-    for part, family in _FAMILIES.items():
-        if part in name:
-            return family
     last = name.split(" @")[0].rpartition(" ")[2]
-    return (re.match(r"[a-z]+", last) or re.match(r".*", last))[0]
+    known = (family for part, family in _FAMILIES.items() if part in name)
+    return next(known, re.match(r"[a-z]*", last)[0] or last)
 
 
 def families(specs: Iterable[str], overrides: Iterable[str] = ()) -> dict[str, str]:
@@ -118,9 +116,7 @@ BASE, RECIPE, ALL = "best", "recipe", "ladder"
 def ablation_names(asked: Sequence[str]) -> tuple[str, ...]:
     """List the ablations' names, `ladder` spelled out. InputError: no such ablation."""
     whole = (BASE, *ALONE, *LADDER, *(f"+{name}" for name in list(LADDER)[1:]), RECIPE)
-    names: list[str] = []
-    for name in asked:
-        names += whole if name == ALL else (name,)
+    names = [name for word in asked for name in (whole if word == ALL else (word,))]
     for name in names:
         if name not in whole:
             known = ", ".join((BASE, *ALONE, *LADDER, RECIPE, ALL))
@@ -138,9 +134,10 @@ def ablation_settings(name: str, photographs: bool = False) -> dict[str, object]
     settings: dict[str, object] = {"preset": "best"}
     if not name.startswith("+"):
         return settings | (LADDER | ALONE).get(name, {})
-    steps = list(LADDER)
-    for step in steps[: steps.index(name[1:]) + 1]:
-        settings |= LADDER[step]
+    for step, changes in LADDER.items():
+        settings |= changes
+        if step == name[1:]:
+            break
     return settings
 
 
@@ -201,7 +198,8 @@ class Matrix:
         name = lambda cell: f"{cell[0]}, judged by {short_name(cell[1])}"
         for ablation, judged in in_turn(cells, name, self.store.tell):
             cell = self.cell(ablation, judged)
-            file = cell_file(self.store.out, ablation, judged)
+            # Detectors may share a short name, so that the hash of the spec is part of the file's.
+            file = self.store.out / "cells" / f"{ablation}--{file_name(judged)}-{sha256_record(judged)[:6]}.json"
             with written(file.parent):
                 file.parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(file)
@@ -210,24 +208,29 @@ class Matrix:
 
     def work(self, asked: Sequence[str]) -> tuple[int, float]:
         """Count the trainings of these ablations, and about how many seconds they take where none is done yet."""
-        detectors, size = self.store.split.detectors, self.store.options.size
-        paces = {spec: measured_pace(detectors[spec], size).gradient for spec in self.surrogates}
+        split, seeds = self.store.split, len(self.store.options.seed_list)
+        paces = {
+            spec: measured_pace(split.detectors[spec], self.store.options.size).gradient for spec in self.surrogates
+        }
         count, seconds = 0, 0.0
         for ablation, judges in product(ablation_names(asked), self.groups()):
             surrogates = self.surrogates_for(judges[0])
-            photographs = self.store.split.people is not None
-            changes = dict(self.cameras.training) | ablation_settings(ablation, photographs)
-            settings = self.store.train_settings(specs=surrogates, **changes)
-            images = settings.total_steps(len(self.store.split.backgrounds)) * settings.run.batch
+            settings = self.store.train_settings(specs=surrogates, **self._settings(ablation))
+            images = settings.total_steps(len(split.backgrounds)) * settings.run.batch
             asked_at_once = (settings.objective.detectors_per_step or len(surrogates)) / len(surrogates)
-            count += len(self.store.options.seed_list)
-            each = asked_at_once * sum(paces[spec] for spec in surrogates)
-            seconds += len(self.store.options.seed_list) * images * each
+            count += seeds
+            seconds += seeds * images * asked_at_once * sum(paces[spec] for spec in surrogates)
         return count, seconds
+
+    def _settings(self, ablation: str) -> dict[str, object]:
+        return dict(self.cameras.training) | ablation_settings(ablation, self.store.split.people is not None)
 
     def groups(self) -> list[tuple[str, ...]]:
         """Group the judged detectors by their surrogates: those together share all trainings."""
-        return list(_judges_by_surrogates((judged, self.surrogates_for(judged)) for judged in self.judges).values())
+        judges: dict[tuple[str, ...], list[str]] = {}
+        for judged in self.judges:
+            judges.setdefault(self.surrogates_for(judged), []).append(judged)
+        return list(map(tuple, judges.values()))
 
     def surrogates_for(self, judged: str) -> tuple[str, ...]:
         """List the surrogates that are not the judged network, at any input size, nor (if asked) of its family."""
@@ -242,9 +245,7 @@ class Matrix:
 
     def cell(self, ablation: str, judged: str) -> dict:
         """Train an ablation without one detector and let it judge: plain values."""
-        surrogates = self.surrogates_for(judged)
-        split = self.store.split
-        settings = dict(self.cameras.training) | ablation_settings(ablation, split.people is not None)
+        surrogates, split, settings = self.surrogates_for(judged), self.store.split, self._settings(ablation)
         trained = [self._trained(surrogates, seed, settings) for seed in self.store.options.seed_list]
         test = {"controls": STANDARD} | self.cameras.test
         results = self.store.measure_repetitions(trained, self.cameras.angles, [judged], **test)
@@ -267,12 +268,10 @@ class Matrix:
         }
 
     def _trained(self, surrogates: tuple[str, ...], seed: int, settings: dict) -> Trained:
-        if self.deadline is None:
-            return self.store.train_faces(self.faces, surrogates, seed=seed, **settings)
-        seconds = self.deadline - time.monotonic()
-        if seconds <= 0:
+        limit = {} if self.deadline is None else {"max_seconds": self.deadline - time.monotonic()}
+        if limit and limit["max_seconds"] <= 0:
             raise Stopped("the time budget is spent; the same command goes on with what is left")
-        return self.store.train_faces(self.faces, surrogates, seed=seed, **settings, max_seconds=seconds)
+        return self.store.train_faces(self.faces, surrogates, seed=seed, **settings, **limit)
 
 
 # --- its figures
@@ -301,11 +300,6 @@ def transfer_means(cells: pd.DataFrame) -> dict:
 # --- its files
 
 
-def cell_file(out: Path, ablation: str, judged: str) -> Path:
-    """Name the file of a cell: detectors may share a short name, so that the hash of the spec is part of it."""
-    return out / "cells" / f"{ablation}--{file_name(judged)}-{sha256_record(judged)[:6]}.json"
-
-
 def gather(out: Path) -> list[dict]:
     """Read every cell that OUT holds, in the order of the ladder. InputError: none, or none of this format."""
     cells: dict[tuple[str, str], dict] = {}
@@ -318,10 +312,7 @@ def gather(out: Path) -> list[dict]:
     if not cells:
         raise InputError(f"{out}: holds no cell of a transfer matrix")
     order = {name: place for place, name in enumerate(ablation_names((ALL,)))}
-
-    def place(cell: dict) -> tuple[int, str, str]:
-        return order.get(cell["rung"], len(order)), cell["rung"], cell["judged"]
-
+    place = lambda cell: (order.get(cell["rung"], len(order)), cell["rung"], cell["judged"])
     return sorted(cells.values(), key=place)
 
 
@@ -342,27 +333,21 @@ def show(cells: Sequence[dict], folder: Path, name: str) -> list[Path]:
 
 
 def publish(cells: Sequence[dict], folder: Path, table: str, study: str, command: str) -> Path:
-    """Put a row for each cell into FOLDER/TABLE.csv as a study; returns the file."""
+    """Put a row for each cell into FOLDER/TABLE.csv as a study; returns the file.
+
+    A row has None for what an earlier version's cell does not tell.
+    """
+    rows = []
+    for cell in cells:
+        row = {"rung": cell["rung"], "judged": short_name(cell["judged"]), "kin": cell["kin"]}
+        for rate, interval in (("success", "ci95"), ("success_own", "ci95_own"), ("success_025", "ci95_025")):
+            row |= {rate: cell[rate], f"{rate}_low": cell[interval][0], f"{rate}_high": cell[interval][1]}
+        for key in ("operating_point", "renamed", "gone", "random", "clothing", "n", "cpu_seconds"):
+            row[key] = cell.get(key)
+        row["by_seed"] = "; ".join(map(str, cell["by_seed"]))
+        row["surrogates"] = "; ".join(map(short_name, cell["surrogates"]))
+        rows.append(row)
     steps = " / ".join(map(str, dict.fromkeys(cell["steps"] for cell in cells)))
-    made = {"command": command, "steps": steps, "seeds": max(len(cell["by_seed"]) for cell in cells)}
-    return publish_rows(folder, table, study, [_row(cell) for cell in cells], made | {"logo": cells[-1]["logo"]})
-
-
-def _row(cell: dict) -> dict:
-    """Make plain values of a cell; None for what an earlier version's does not tell."""
-    row = {"rung": cell["rung"], "judged": short_name(cell["judged"]), "kin": cell["kin"]}
-    for rate, interval in (("success", "ci95"), ("success_own", "ci95_own"), ("success_025", "ci95_025")):
-        row |= {rate: cell[rate], f"{rate}_low": cell[interval][0], f"{rate}_high": cell[interval][1]}
-    row |= {
-        key: cell.get(key) for key in ("operating_point", "renamed", "gone", "random", "clothing", "n", "cpu_seconds")
-    }
-    lists = {"by_seed": map(str, cell["by_seed"]), "surrogates": map(short_name, cell["surrogates"])}
-    return row | {key: "; ".join(values) for key, values in lists.items()}
-
-
-def _judges_by_surrogates(pairs: Iterable[tuple[str, tuple[str, ...]]]) -> dict[tuple[str, ...], tuple[str, ...]]:
-    """Group judged detectors by their surrogates: those together share all trainings."""
-    judges: dict[tuple[str, ...], tuple[str, ...]] = {}
-    for judged, surrogates in pairs:
-        judges[surrogates] = (*judges.get(surrogates, ()), judged)
-    return judges
+    seeds = max(len(cell["by_seed"]) for cell in cells)
+    made = {"command": command, "steps": steps, "seeds": seeds, "logo": cells[-1]["logo"]}
+    return publish_rows(folder, table, study, rows, made)

@@ -71,15 +71,8 @@ def test_report_opens_offline_and_says_what_was_measured(tmp_path: Path) -> None
     assert not re.search(r"url\((?!#)", text) and "@import" not in text
     summary = json.loads((run / "evaluation/summary.json").read_text())
     logo = summary["detectors"]["builtin"]["logo"]
-    for shown in (
-        percent(logo["success"]),
-        interval(logo["ci95"]),
-        "my run",
-        "unseen bodies",
-        "random colours",
-        "cd" * 32,
-    ):
-        assert shown in text
+    shown = (percent(logo["success"]), interval(logo["ci95"]), "my run", "unseen bodies", "random colours", "cd" * 32)
+    assert all(words in text for words in shown)
     failed = int((made_results().scores("builtin", "logo") > 0.3).sum())
     assert "A box is a person found above 0.3" in text  # what pictures.json was made at, not the asked 0.6
     assert f"still finds a person above 0.3 in {failed} of" in text
@@ -93,12 +86,8 @@ def test_report_without_evaluation_says_so(tmp_path: Path) -> None:
     assert "has not been evaluated" in text
     assert "Attack success" not in text
     assert "Success on training images" in text  # the curves are there
-
-
-def test_report_of_a_run_without_events(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run")
-    (run / "events.jsonl").unlink()
-    assert "logged no steps" in make_report(run).read_text("utf-8")
+    (tmp_path / "run/events.jsonl").unlink()
+    assert "logged no steps" in make_report(tmp_path / "run").read_text("utf-8")
 
 
 @pytest.mark.slow
@@ -134,26 +123,16 @@ def test_another_type_in_a_foreign_run_is_named(tmp_path: Path, file: str, place
 
 @pytest.mark.slow
 def test_several_detectors_and_warnings(tmp_path: Path) -> None:
-    run = write_run(
-        tmp_path / "run", results=made_results(specs=("builtin", "darknet:/x/tiny.cfg:/x/tiny.weights@224"))
-    )
+    specs = ("builtin", "darknet:/x/tiny.cfg:/x/tiny.weights@224")
+    run = write_run(tmp_path / "run", results=made_results(specs=specs))
     path = run / "evaluation/summary.json"
-    summary = json.loads(path.read_text())
-    summary |= {
-        "unseen": {"bodies": False, "backgrounds": None},
-        "warnings": ["2 of the bodies were in the training set"],
-    }
-    path.write_text(json.dumps(summary))
+    more = {"unseen": {"bodies": False, "backgrounds": None}, "warnings": ["2 of the bodies were in the training set"]}
+    path.write_text(json.dumps(json.loads(path.read_text()) | more))
     text = make_report(run).read_text("utf-8")
     parse(text)
     assert "darknet tiny @224" in text
     assert "bodies seen in training" in text and "backgrounds: not known" in text
     assert "2 of the bodies were in the training set" in text
-
-
-def test_no_run_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="not a run folder"):
-        make_report(tmp_path)
 
 
 def test_damaged_evaluation_is_named(tmp_path: Path) -> None:
@@ -162,6 +141,8 @@ def test_damaged_evaluation_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"scores\.npz"):
         make_report(run)
     assert not (run / "report.html").exists()
+    with pytest.raises(InputError, match="not a run folder"):
+        make_report(tmp_path)
 
 
 @pytest.mark.slow
@@ -176,23 +157,11 @@ def test_pictures_stay_in_their_folder(tmp_path: Path) -> None:
         make_report(run)
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0 %"),
-        (1.0, "100 %"),
-        (0.964, "96 %"),
-        (0.996, "99.6 %"),
-        (0.99999, "> 99.9 %"),
-        (0.004, "0.4 %"),
-        (None, "–"),
-    ],
-)
-def test_percent_never_rounds_up_to_all(value: float | None, text: str) -> None:
-    assert percent(value) == text
+PERCENT = {0.0: "0 %", 1.0: "100 %", 0.964: "96 %", 0.996: "99.6 %", 0.99999: "> 99.9 %", 0.004: "0.4 %", None: "–"}
 
 
 def test_words() -> None:
+    assert {value: percent(value) for value in PERCENT} == PERCENT, "100 % means all"
     assert interval([0.88, 0.994]) == "88 – 99.4 %"
     assert interval([None, None]) == "–"
     assert duration(4.2) == "4.2 s" and duration(75) == "1 min 15 s" and duration(3700) == "1 h 1 min"
@@ -263,23 +232,13 @@ def test_single_images_are_not_joined_to_a_trend() -> None:
         assert lines and all((line.get_linestyle() != "None") == joined for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("rates", "said", "names"),
-    [
-        (
-            {"renamed": 0.61, "renamed_own": 0.5, "named": {"dog": 12, "kite": 1}},
-            '; in 61 % something else is reported there, mostly "dog"',
-            "dog 12, kite 1",
-        ),
-        ({"renamed": 0.0, "named": {}}, "; nothing else is reported there", ""),
-        ({"renamed": None, "named": None}, "", ""),
-        ({}, "", ""),
-    ],
-)
-def test_a_headline_says_what_stands_there_instead(rates: dict, said: str, names: str) -> None:
-    assert (instead(rates), most_named(rates)) == (said, names)
-    if "renamed_own" in rates:
-        assert instead(rates, own=True) == "; in 50 % something else is reported there"
+def test_a_headline_says_what_stands_there_instead() -> None:
+    rates = {"renamed": 0.61, "renamed_own": 0.5, "named": {"dog": 12, "kite": 1}}
+    assert instead(rates) == '; in 61 % something else is reported there, mostly "dog"'
+    assert instead(rates, own=True) == "; in 50 % something else is reported there"
+    assert instead({"renamed": 0.0, "named": {}}) == "; nothing else is reported there"
+    assert instead({"renamed": None, "named": None}) == instead({}) == most_named({"named": None}) == ""
+    assert most_named(rates) == "dog 12, kite 1"
 
 
 def test_a_curve_of_many_points_is_drawn_by_its_extremes_and_its_running_mean() -> None:

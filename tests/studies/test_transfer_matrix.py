@@ -8,8 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cloak_core.cli import load
-from cloak_core.commands import parsing
 from cloak_core.core.evaluation.settings import StoreOptions
 from cloak_core.core.logo import chest_thighs
 from cloak_core.core.run_config import read_config
@@ -23,7 +21,6 @@ from cloak_core.studies import training_store
 from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.transfer import (
-    CIRCLE,
     FRONT,
     LADDER,
     PHOTOGRAPHS,
@@ -31,7 +28,6 @@ from cloak_core.studies.transfer import (
     ablation_names,
     ablation_settings,
     families,
-    family_of,
     gather,
     kinship,
     publish,
@@ -41,23 +37,21 @@ from cloak_core.studies.transfer import (
 from tests.sources.photographs.made_people import write_people
 from tests.studies.made_split import Glow
 
+FAMILIES = {
+    "onnx:/a/yolov8n.onnx": "yolo",
+    "darknet:x/yolo-fastest-1.1-xl.cfg:y.weights@320": "yolo",
+    "darknet:MobileNetV2-YOLOv3-Nano-coco.cfg:y.weights": "yolo",
+    "onnx:nanodet_m.onnx@416,conf=0.4": "nanodet",
+    "onnx:ssd_mobilenet_v1.onnx": "ssd",
+    "torchvision:fasterrcnn_resnet50_fpn": "rcnn",
+    "python:detectors/d2go.py:load": "rcnn",
+    "torchvision:ssdlite320_mobilenet_v3_large": "ssdlite",
+    "transformers:/models/rtdetr_r18vd": "detr",
+}
 
-@pytest.mark.parametrize(
-    ("spec", "family"),
-    [
-        ("onnx:/a/yolov8n.onnx", "yolo"),
-        ("darknet:x/yolo-fastest-1.1-xl.cfg:y.weights@320", "yolo"),
-        ("darknet:MobileNetV2-YOLOv3-Nano-coco.cfg:y.weights", "yolo"),
-        ("onnx:nanodet_m.onnx@416,conf=0.4", "nanodet"),
-        ("onnx:ssd_mobilenet_v1.onnx", "ssd"),
-        ("torchvision:fasterrcnn_resnet50_fpn", "rcnn"),
-        ("python:detectors/d2go.py:load", "rcnn"),
-        ("torchvision:ssdlite320_mobilenet_v3_large", "ssdlite"),
-        ("transformers:/models/rtdetr_r18vd", "detr"),
-    ],
-)
-def test_families_by_name(spec, family):
-    assert family_of(spec) == family
+
+def test_families_by_name():
+    assert families(FAMILIES) == FAMILIES
 
 
 def test_siblings_and_strangers_and_what_the_user_knows_better():
@@ -172,16 +166,6 @@ def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
     assert table["judged"].tolist() == ["onnx red", "yolo a"] and table["kin"].tolist() == ["stranger", "sibling"]
     assert table["success"].tolist() == values and table["gone"].isna().tolist() == [True, False]
     assert table["surrogates"][1] == "onnx red; yolo b"
-
-
-def test_the_circle_has_its_places():
-    assert len(CIRCLE.angles) == 36 and CIRCLE.angles[0] == 0
-
-
-def test_the_command_reads_its_options():
-    words = ["--detector", "a", "--detector", "b", "--judge", "c", "--out", "x", "--rungs", "best", "+shake"]
-    command = parsing.parse(load("transfer"), "transfer", words)
-    assert (command.detector, command.judge, command.rungs) == (("a", "b"), ("c",), ("best", "+shake"))
 
 
 @pytest.mark.slow

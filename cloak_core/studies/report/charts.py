@@ -148,7 +148,11 @@ class Lines:
                 self._cross(axis, places, select(crosses, **{self.series: value} if self.series else {})[:1], look)
             panel_title(axis, names.get(panel, str(panel)), len(panels))
             self._x_axis(axis, places)
-        self._y_axis(axes[0])
+        if self.y == "success":
+            percent_axis(axes[0], self.rate)
+        else:
+            axes[0].set_ylim(bottom=0)
+            axes[0].set_ylabel(AXES.get(self.y, self.y.replace("_", " ")))
         legend_above(figure)
         return figure
 
@@ -201,13 +205,6 @@ class Lines:
                 range(len(places)), [f"{value:,}" if isinstance(value, int) else f"{value:g}" for value in places]
             )
 
-    def _y_axis(self, axis: Axes) -> None:
-        if self.y == "success":
-            percent_axis(axis, self.rate)
-        else:
-            axis.set_ylim(bottom=0)
-            axis.set_ylabel(AXES.get(self.y, self.y.replace("_", " ")))
-
 
 @dataclass(frozen=True, kw_only=True)
 class Bars:
@@ -233,29 +230,23 @@ class Bars:
         room = 0.28 if not self.series else max(0.42, 0.1 * len(group(rows, self.series)))
         figure, axes = new_figure(WIDTH, 1.0 + room * len(lines), len(panels), sharey=True)
         for axis, (panel, mine) in zip(axes, panels.items(), strict=True):
-            self._axis(axis, [names.get(line, str(line)) for line in lines])
+            percent_along_x(axis, self.rate)
+            axis.set_yticks(range(len(lines)), [names.get(line, str(line)) for line in lines])
+            axis.set_ylim(len(lines) - 0.5, -0.5)
+            axis.grid(axis="y", visible=False)
             series = self._series(rows, mine)
             for k, (label, (shown, keys, value)) in enumerate(series.items()):
                 aside = (0.3 if len(series) < 3 else 0.6) * (k - (len(series) - 1) / 2) / max(1, len(series) - 1)
-                at, bars, look = (
-                    [lines.index(row[self.y]) + aside for row in shown],
-                    errors(shown, *keys),
-                    look_of(k, value),
-                )
+                look = look_of(k, value)
                 look = {"fmt": look["marker"], "color": look["color"], "label": look.get("label", label) or None}
-                axis.errorbar(floats(shown, *keys[:1]), at, xerr=bars, lw=1.2, clip_on=False, **look)
+                at = [lines.index(row[self.y]) + aside for row in shown]
+                axis.errorbar(floats(shown, *keys[:1]), at, xerr=errors(shown, *keys), lw=1.2, clip_on=False, **look)
             for k, control in enumerate(self.controls, 1):
                 at = [lines.index(row[self.y]) + 0.15 * k for row in mine]
                 axis.plot(column(mine, control), at, **look_of(0, control) | {"ls": ""})
             panel_title(axis, names.get(panel, str(panel)), len(panels))
         legend_above(figure)
         return figure
-
-    def _axis(self, axis: Axes, names: Sequence[str]) -> None:
-        percent_along_x(axis, self.rate)
-        axis.set_yticks(range(len(names)), names)
-        axis.set_ylim(len(names) - 0.5, -0.5)
-        axis.grid(axis="y", visible=False)
 
     def _series(self, rows: Rows, mine: Rows) -> dict[str, tuple[Rows, tuple[str, ...], object]]:
         """List a panel's rows, the columns of their rates, and their value by label; colours agree between panels."""

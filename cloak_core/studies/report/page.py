@@ -17,7 +17,7 @@ from PIL import Image
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_bytes, read_text
 from cloak_core.files.writing import write_text
 from cloak_core.studies.report import words
-from cloak_core.studies.report.style import CSS_COLORS, style
+from cloak_core.studies.report.style import CSS_COLORS, SERIES, style
 
 TEMPLATES = Path(__file__).parent / "templates"
 MAX_PICTURE = 16 << 20
@@ -44,10 +44,11 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    formats = (words.percent, words.interval, words.degrees, words.control_label, words.short_name)
-    formats += (words.duration, words.instead, words.most_named, words.plain)
-    environment.filters["record"] = lambda value: value if isinstance(value, dict) else {}
+    formats = (words.percent, words.interval, words.degrees, words.short_name, words.duration)
+    formats += (words.instead, words.most_named, words.plain)
     environment.filters |= {write.__name__: write for write in formats}
+    environment.filters["record"] = lambda value: value if isinstance(value, dict) else {}
+    environment.filters["control_label"] = lambda name: SERIES[name].label if name in SERIES else name
     return environment
 
 

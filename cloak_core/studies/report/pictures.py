@@ -54,20 +54,19 @@ def write_pictures(
     trials = complete(images.trials)
     shown = gallery_trials(trials)
     middle = shown[len(shown) // (2 * trials.loc[shown, "pose"].nunique())]
-    controls = draw_trial(folder, images, patterns, middle, detectors)
-    failures, worst = {}, {}
-    thresholds = _own(detectors)
-    for spec, threshold in thresholds.items():
-        rows = results.rows(spec, LOGO)
-        failures[spec] = [pair(trial) for trial in failure_trials(rows, threshold)]
-        worst[spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
-    return {
-        "thresholds": thresholds,
+    found = {
+        "thresholds": _own(detectors),
         "gallery": [pair(trial) for trial in shown],
-        "failures": failures,
-        "worst": worst,
-        "controls": describe(images, middle) | {"images": controls},
+        "failures": {},
+        "worst": {},
+        "controls": describe(images, middle) | {"images": draw_trial(folder, images, patterns, middle, detectors)},
     }
+    for spec, threshold in found["thresholds"].items():
+        rows = results.rows(spec, LOGO)
+        failures = first_by(rows[~hidden(rows, threshold)], FAILURES)["image"].tolist()
+        found["failures"][spec] = [pair(trial) for trial in failures]
+        found["worst"][spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
+    return found
 
 
 def gallery_trials(trials: pd.DataFrame) -> list[int]:
@@ -86,11 +85,6 @@ def gallery_trials(trials: pd.DataFrame) -> list[int]:
 def _spaced(values: np.ndarray, count: int) -> np.ndarray:
     """Choose at most `count` of the values, evenly spaced."""
     return values[np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)]
-
-
-def failure_trials(rows: pd.DataFrame, threshold: float) -> list[int]:
-    """Choose the cloaked images with a reported person and the highest scores, best first."""
-    return first_by(rows[~hidden(rows, threshold)], FAILURES)["image"].tolist()
 
 
 def first_by(rows: pd.DataFrame, count: int, by: Sequence[str] = ("score",), ascending: bool = False) -> pd.DataFrame:
@@ -113,13 +107,13 @@ def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]
 def describe(images: ImageSet | Results, trial: int) -> dict:
     """Say what one trial shows, as plain values; None for what its view does not have."""
     row = images.trials.loc[trial]
-    known = lambda name: None if pd.isna(row.get(name)) else float(row[name])
+    angle, distance = (None if pd.isna(row.get(name)) else float(row[name]) for name in ("angle", "distance"))
     named = lambda names, name: names[int(row[name])] if 0 <= row.get(name, -1) < len(names) else None
     return {
         "trial": int(trial),
         "body": named(images.body_names, "pose"),
-        "angle": known("angle"),
-        "distance": None if known("distance") is None else round(known("distance"), 4),
+        "angle": angle,
+        "distance": None if distance is None else round(distance, 4),
         "background": named(images.background_names, "background"),
     }
 

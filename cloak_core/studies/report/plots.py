@@ -44,11 +44,20 @@ def evaluation_figures(results: Results, detector: str, threshold: float) -> dic
     seen, figures = results.rows(detector, results.controls[0]), {}
     for column, least, size in (("angle", 1, (2 * WIDTH, 3.0)), ("distance", 2, Lines.size)):
         if seen[column].nunique() >= least:
-            lines = Lines(x=column, series="control", size=size)
-            figures[f"Success by {column}"] = lines.draw(_rows(results, detector, column, threshold))
+            rows = _rows(results, detector, column, threshold)
+            figures[f"Success by {column}"] = Lines(x=column, series="control", size=size).draw(rows)
     if seen["body"].nunique():
         figures["Success by body"] = success_by_body(results, detector, threshold)
-    return figures | {"Success by threshold": success_by_threshold(results, detector, threshold)}
+    grid = np.linspace(0, 1, 201)
+    curves = []
+    for control in results.controls:
+        scores = np.sort(results.scores(detector, control))
+        # The share of images without a person box above each threshold.
+        shares = np.searchsorted(scores, grid, side="right") / len(scores)
+        values = zip(grid.tolist(), shares.tolist(), strict=True)
+        curves += [{"control": control, "threshold": t, "success": value} for t, value in values]
+    lines = Lines(x="threshold", series="control", mark=threshold)
+    return figures | {"Success by threshold": lines.draw(curves)}
 
 
 def success_by_body(results: Results, detector: str, threshold: float) -> Figure | None:
@@ -66,18 +75,6 @@ def success_by_body(results: Results, detector: str, threshold: float) -> Figure
     return Lines(x=along, series="control").draw(ranked)
 
 
-def success_by_threshold(results: Results, detector: str, threshold: float) -> Figure | None:
-    """Plot the share of images without a person box above t for every t; `threshold` is marked."""
-    grid = np.linspace(0, 1, 201)
-    rows = [
-        {"control": control, "threshold": float(t), "success": float(value)}
-        for control in results.controls
-        for scores in [np.sort(results.scores(detector, control))]
-        for t, value in zip(grid, np.searchsorted(scores, grid, side="right") / len(scores), strict=True)
-    ]
-    return Lines(x="threshold", series="control", mark=threshold).draw(rows)
-
-
 def _rows(results: Results, detector: str, column: str, threshold: float, intervals: Sequence[str] = (LOGO,)) -> Rows:
     """Make a row for each control and value of a column: success, with its interval where asked for."""
     return [
@@ -92,12 +89,12 @@ def _rows(results: Results, detector: str, column: str, threshold: float, interv
 def success_over_time(rows: Sequence[Mapping]) -> Figure | None:
     """Plot the rows of `over_time` over queries, where it was a search, else seconds, else steps."""
     along = next(key for key in ("queries", "seconds", "step") if all(row.get(key) is not None for row in rows))
-    told = [
+    points = [
         {"detector": spec, along: row[along], **rated(record)}
         for row in rows
         for spec, record in row["detectors"].items()
     ]
-    return Lines(x=along, series="detector").draw(told)
+    return Lines(x=along, series="detector").draw(points)
 
 
 def found_by_distance(groups: Mapping[str, Mapping], labels: Mapping[str, str]) -> Figure | None:
@@ -132,9 +129,9 @@ def card_figures(card: dict) -> dict[str, Figure | None]:
     if card["white_box"]:
         figures |= {"area": by_area(card), "threshold": by_threshold(card)}
     if card.get("around"):
-        by_angle = [(float(angle), row) for angle, row in card["around"]["by_angle"].items()]
+        by_angle = _own_rows("angle", [(float(angle), row) for angle, row in card["around"]["by_angle"].items()])
         label = {"cloak": "cloak for the full circle"}
-        figures["around"] = Rings(series="cloak").draw([label | row for row in _own_rows("angle", by_angle)])
+        figures["around"] = Rings(series="cloak").draw([label | row for row in by_angle])
     return figures
 
 

@@ -10,7 +10,6 @@ from pathlib import PureWindowsPath
 
 from cloak_core.detectors.defended.table import split_defence
 from cloak_core.files.specs import split_spec
-from cloak_core.studies.report.style import SERIES
 
 
 def markdown(text: str) -> str:
@@ -60,11 +59,6 @@ def degrees(angle: float | None) -> str:
     return "" if angle is None else f"{angle:g}°".replace("-", "−")
 
 
-def control_label(control: str) -> str:
-    """Name a control in words."""
-    return SERIES[control].label if control in SERIES else control
-
-
 def short_name(spec: str) -> str:
     """Shorten a detector's spec to its name without folders.
 
@@ -85,15 +79,15 @@ def short_name(spec: str) -> str:
 def short_names(specs: Iterable[str]) -> dict[str, str]:
     """Shorten several specs; equal names get the folder of the file, or else the whole spec."""
     names = {spec: short_name(spec) for spec in dict.fromkeys(specs)}
-    for told in (_with_folder, str):
+
+    def with_folder(spec: str) -> str:
+        file = PureWindowsPath(split_spec(spec)[-1].partition("@")[0])
+        return f"{short_name(spec)} ({file.parent.name or file.stem})"
+
+    for longer in (with_folder, str):
         count = Counter(names.values())
-        names = {spec: name if count[name] == 1 else told(spec) for spec, name in names.items()}
+        names = {spec: name if count[name] == 1 else longer(spec) for spec, name in names.items()}
     return names
-
-
-def _with_folder(spec: str) -> str:
-    file = PureWindowsPath(split_spec(spec)[-1].partition("@")[0])
-    return f"{short_name(spec)} ({file.parent.name or file.stem})"
 
 
 def file_name(spec: str) -> str:
