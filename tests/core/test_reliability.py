@@ -192,9 +192,11 @@ def test_a_background_that_goes_bad(tmp_path, monkeypatch, how):
                 victim.unlink() if how == "vanishes" else victim.write_bytes(data[: len(data) // 2])
 
         # Room for one picture, so that files are read again.
-        backgrounds = load_backgrounds(tmp_path / "photos", (64, 64), memory_bytes=1)
-        how = {"steps": 12, "checkpoint_every": 5, "resume": True, "on_event": listen}
-        return run(tmp_path / name, backgrounds=backgrounds, **how)
+        with monkeypatch.context() as patched:
+            patched.setattr("cloak_core.sources.backdrops.backgrounds.MEMORY_BYTES", 1)
+            backgrounds = load_backgrounds(tmp_path / "photos", (64, 64))
+        options = {"steps": 12, "checkpoint_every": 5, "resume": True, "on_event": listen}
+        return run(tmp_path / name, backgrounds=backgrounds, **options)
 
     whole = attempt("whole").colors
     with pytest.raises(InputError, match=r"3\.png") as ended:

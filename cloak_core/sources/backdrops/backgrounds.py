@@ -61,16 +61,14 @@ class Backgrounds:
     `draw(index, height, width)` makes image `index` of the source as uint8 [H, W, 3]. Subsets share one cache.
     """
 
-    def __init__(
-        self, names: Sequence[str], draw: Draw, memory_bytes: int = MEMORY_BYTES, pictures: Sequence[Picture] = ()
-    ) -> None:
+    def __init__(self, names: Sequence[str], draw: Draw, pictures: Sequence[Picture] = ()) -> None:
         self.names = tuple(names)
         """Of the images, in order."""
         self.pictures = tuple(pictures) or tuple(map(Picture, self.names))
         """What the images are."""
         self._draw = draw
         self._indices = tuple(range(len(self.names)))
-        self._cache = MemoryCache(memory_bytes)
+        self._cache = MemoryCache(MEMORY_BYTES)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -114,9 +112,7 @@ class Backgrounds:
         return self.subset(range(offset, len(self), every))
 
 
-def load_backgrounds(
-    spec: str | Path, size: tuple[int, int] = (416, 416), memory_bytes: int = MEMORY_BYTES
-) -> Backgrounds:
+def load_backgrounds(spec: str | Path, size: tuple[int, int] = (416, 416)) -> Backgrounds:
     """Load backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`.
 
     `SPEC[0::2]` takes some of them (`bodies.selection`).
@@ -127,13 +123,13 @@ def load_backgrounds(
     """
     whole, selection = split_selection(str(spec))
     if isinstance(spec, str) and (whole == "procedural" or whole.startswith("procedural:")):
-        backgrounds = _open_procedural(whole, memory_bytes)
+        backgrounds = _open_procedural(whole)
     else:
-        backgrounds = _open_folder(Path(whole), size, memory_bytes)
+        backgrounds = _open_folder(Path(whole), size)
     return backgrounds if selection is None else backgrounds.subset(select(selection, backgrounds.names, str(spec)))
 
 
-def _open_procedural(spec: str, memory_bytes: int) -> Backgrounds:
+def _open_procedural(spec: str) -> Backgrounds:
     fields = split_spec(spec)[1:]
     split = fields.pop(0) if fields and fields[0] in _SPLITS else "train"
     if len(fields) > 2 or not all(f.isdecimal() for f in fields):
@@ -146,10 +142,10 @@ def _open_procedural(spec: str, memory_bytes: int) -> Backgrounds:
     def draw(index: int, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
         return draw_scene(np.random.default_rng([stream, seed, index]), height, width)
 
-    return Backgrounds([f"procedural:{split}:{seed}/{i}" for i in range(count)], draw, memory_bytes)
+    return Backgrounds([f"procedural:{split}:{seed}/{i}" for i in range(count)], draw)
 
 
-def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Backgrounds:
+def _open_folder(folder: Path, size: tuple[int, int]) -> Backgrounds:
     if not folder.exists():
         raise InputError(f"{folder}: no such folder of backgrounds")
     if not folder.is_dir():
@@ -165,7 +161,7 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
         except InputError as error:
             return error
 
-    room = max(1, memory_bytes // (3 * size[0] * size[1]))
+    room = max(1, MEMORY_BYTES // (3 * size[0] * size[1]))
     good: list[tuple[Path, Picture]] = []
     bad: list[InputError] = []
     ready: list[np.ndarray] = []
@@ -183,7 +179,7 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
         raise InputError(f"{folder}: none of its {len(files)} images can be read ({one})")
     draw = lambda i, h, w: reader.read(good[i][0], h, w, good[i][1])[0]
     names, pictures = [path.name for path, _ in good], [picture for _, picture in good]
-    backgrounds = Backgrounds(names, draw, memory_bytes, pictures)
+    backgrounds = Backgrounds(names, draw, pictures)
     for i, image in enumerate(ready):
         backgrounds.keep(i, *size, image)
     return backgrounds

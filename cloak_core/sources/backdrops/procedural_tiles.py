@@ -101,8 +101,9 @@ def foliage(rng: np.random.Generator, height: int, width: int, hue: Range = (0.1
     return blend(field * 0.6 + rng.uniform(-0.3, 0.2), dark, light)
 
 
-def window(rng: np.random.Generator, width: int = 60, height: int = 80) -> Image.Image:
+def window(rng: np.random.Generator) -> Image.Image:
     """Draw a framed window: panes with sky, dark room or garden behind."""
+    width, height = 60, 80
     frame = random_color(rng, saturation=(0, 0.3), value=(0.2, 1))
     kind = rng.integers(3)
     if kind == 0:
@@ -122,8 +123,9 @@ def window(rng: np.random.Generator, width: int = 60, height: int = 80) -> Image
     return view
 
 
-def door(rng: np.random.Generator, width: int = 48, height: int = 104) -> Image.Image:
+def door(rng: np.random.Generator) -> Image.Image:
     """Draw a door with panels and a knob."""
+    width, height = 48, 104
     color = random_color(rng, saturation=(0, 0.6), value=(0.15, 0.95))
     image = rough(rng, color, (width, height), 0.1)
     draw = ImageDraw.Draw(image)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 MAX_FILE_BYTES = 64 << 30
 """Of a video: it is read frame by frame."""
+GIF_COLORS = 255
 CRF = "18"
 """x264's constant quality: visually without loss."""
 
@@ -107,7 +108,7 @@ def _save_mp4(path: Path, frames: Iterable[Image.Image], fps: float) -> None:
     replace_file(path, write)
 
 
-def save_gif(path: Path, frames: list[Image.Image], fps: float, colors: int = 255) -> None:
+def save_gif(path: Path, frames: list[Image.Image], fps: float) -> None:
     """Write a GIF that repeats for ever; all frames share one palette, so that what stands still stays as it is."""
     from PIL import Image
 
@@ -116,7 +117,7 @@ def save_gif(path: Path, frames: list[Image.Image], fps: float, colors: int = 25
     sheet = Image.new("RGB", (width, height * len(shown)))
     for row, frame in enumerate(shown):
         sheet.paste(frame, (0, row * height))
-    palette = sheet.quantize(colors, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    palette = sheet.quantize(GIF_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     every = {"duration": round(1000 / fps), "loop": 0, "optimize": True, "disposal": 1}
     replace_file(path, lambda file: flat[0].save(file, "GIF", save_all=True, append_images=flat[1:], **every))

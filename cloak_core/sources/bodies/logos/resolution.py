@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Float
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.geometry import sum_by_face
@@ -15,9 +15,9 @@ FINE, COARSE = 0.1, 8.0
 MAX_LEVEL = 2
 
 
-def projected_areas(bodies: Bodies, camera: Camera, pose: int = 0) -> Float[np.ndarray, " faces"]:
-    """Compute the screen area of every face in square pixels, as if nothing hid it; backs count nothing."""
-    points = bodies.vertices[pose].astype(np.float64)
+def projected_areas(bodies: Bodies, camera: Camera) -> Float[np.ndarray, " faces"]:
+    """Compute the screen area of every face in square pixels, as if nothing hid it; backs count nothing. First pose."""
+    points = bodies.vertices[0].astype(np.float64)
     pivot = camera.pivot or tuple((points.min(axis=0) + points.max(axis=0)) / 2)
     right, up, back = (np.array(axis) for axis in camera.axes)
     offset = points - camera.position(pivot)
@@ -30,18 +30,14 @@ def projected_areas(bodies: Bodies, camera: Camera, pose: int = 0) -> Float[np.n
     return sum_by_face(bodies, np.maximum(area, 0))
 
 
-def resolution(
-    bodies: Bodies, camera: Camera | None = None, face_ids: Integer[np.ndarray, " logo"] | None = None
-) -> dict[str, float | int | str]:
-    """Report on a logo's faces (default: the whole body's) as a camera (default: training's) sees the first pose.
+def resolution(bodies: Bodies, camera: Camera) -> dict[str, float | int | str]:
+    """Report on the faces of bodies as a camera sees the first pose.
 
     faces: how many of them look at the camera, hidden or not; their projected areas in square pixels (median, 10th and
     90th percentile), under_fine: share of those under 0.1 px^2, level: the subdivision level (0 to 2) that this picture
     calls for, and hint: the same in words. InputError: none looks at the camera, or it stands in the body.
     """
-    camera = camera or Camera()
     areas = projected_areas(bodies, camera)
-    areas = areas if face_ids is None else areas[face_ids]
     areas = areas[areas > 0]
     if not len(areas):
         raise InputError("no face looks at the camera")

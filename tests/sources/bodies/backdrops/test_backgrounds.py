@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 
 from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops import backgrounds as module
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 
 
@@ -117,11 +118,12 @@ def test_subsets_and_splits_keep_names_and_images():
         part.image(2)
 
 
-def test_memory_stays_within_its_bound(tmp_path):
+def test_memory_stays_within_its_bound(tmp_path, monkeypatch):
     for i in range(8):
         _save(tmp_path / f"{i}.png", np.full((16, 16, 3), 10 * i))
     bound = 3 * 3 * 16 * 16
-    backgrounds = load_backgrounds(tmp_path, size=(16, 16), memory_bytes=bound)
+    monkeypatch.setattr(module, "MEMORY_BYTES", bound)
+    backgrounds = load_backgrounds(tmp_path, size=(16, 16))
     for _ in range(2):
         for i in range(8):
             assert int(backgrounds.image(i, (16, 16)).float().mean()) == 10 * i

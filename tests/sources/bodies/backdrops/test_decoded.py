@@ -83,7 +83,8 @@ def test_the_second_run_decodes_nothing(tmp_path, monkeypatch):
     first = load_backgrounds(tmp_path, (32, 32))
     batch = first.batch([0, 1, 2], 32, 32)
     monkeypatch.setattr(module, "_decode", None)
-    second = load_backgrounds(tmp_path, (32, 32), memory_bytes=1)
+    monkeypatch.setattr(module, "MEMORY_BYTES", 1)
+    second = load_backgrounds(tmp_path, (32, 32))
     assert (second.batch([0, 1, 2], 32, 32) == batch).all() and second.identities() == first.identities()
     for i in range(3):
         (tmp_path / f"{i}.png").unlink()

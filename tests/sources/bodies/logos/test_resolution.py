@@ -7,8 +7,7 @@ from cloak_core.core.cameras import Camera
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.logos.resolution import projected_areas, resolution
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
-from cloak_core.sources.bodies.people.samples import sample_bodies
-from tests.sources.bodies.solids import cube
+from tests.sources.bodies.solids import cube, sphere
 
 
 def test_the_front_of_a_cube_has_the_area_that_its_distance_gives() -> None:
@@ -25,17 +24,14 @@ def test_from_the_side_the_side_is_seen() -> None:
 
 
 def test_coarse_faces_call_for_a_level_and_fine_ones_for_none() -> None:
-    body = sample_bodies("unseen")
-    chest = np.flatnonzero(body.regions["chest"])
-    close = Camera(distance=1.4)
-    near, far = resolution(body, close, chest), resolution(body, Camera(distance=40.0), chest)
-    assert near["level"] == 1 and "level 1 makes it" in near["hint"]
+    body, camera = sphere(80, 40), Camera(distance=3.0)
+    near, far = resolution(body, camera), resolution(body, Camera(distance=200.0))
+    assert near["level"] == 2 and "level 2 makes it" in near["hint"]
     assert far["under_fine"] > 0.5 and far["level"] == 0 and "gains nothing" in far["hint"]
-    finer, parent = subdivide(body.select_poses([0]))
-    again = resolution(finer, close, np.flatnonzero(np.isin(parent, chest)))
-    assert again["median"] == pytest.approx(near["median"] / 4, rel=0.1)
-    assert again["level"] == 0 and "fine enough" in again["hint"]
-    assert resolution(body, face_ids=chest)["level"] == 0
+    again = resolution(subdivide(body)[0], camera)
+    assert again["median"] == pytest.approx(near["median"] / 4, rel=0.1) and again["level"] == 1
+    enough = resolution(subdivide(body, 2)[0], camera)
+    assert enough["level"] == 0 and "fine enough" in enough["hint"]
 
 
 def test_a_camera_inside_the_body_is_refused() -> None:
