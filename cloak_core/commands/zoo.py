@@ -42,10 +42,10 @@ class List(Command):
         for record in result["zoo"]:
             trained = ", ".join(short_name(spec) for spec in record["detectors"])
             rates = percent(record["success"]), percent(record["success_on_people"])
-            rows.append((record["name"], record["logo"], trained, record["licence"], *rates))
+            rows.append((record["name"], record["logo"], trained, *rates, record["licence"]))
         title = "zoo: mean success over the detectors each was evaluated on (cloak zoo show NAME)"
-        heads = ("name", "logo", "trained on", "licence", "success", "on people")
-        out.print(table(title, heads, rows, words=4, whole=True))
+        heads = ("name", "logo", "trained on", "success", "on people", "licence")
+        out.print(table(title, heads, rows, words=3, whole=True))
 
 
 @dataclass(kw_only=True)

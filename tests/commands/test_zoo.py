@@ -57,20 +57,13 @@ def a_run(tmp_path):
     return run
 
 
-def test_what_a_killed_writer_left_is_removed(a_run, tmp_path):
-    folder = tmp_path / "shelf"
-    folder.mkdir()
-    for left in (".name.npz.ab12_x9z", ".name.json.ab12_x9z"):
-        (folder / left).write_bytes(b"half")
-    (folder / ".other.npz.ab12_x9z").write_bytes(b"somebody else's")
-    write_entry(folder, "name", a_run, about="", licence="CC0-1.0", command="", logo=None)
-    assert {path.name for path in folder.iterdir()} == {"name.npz", "name.json", ".other.npz.ab12_x9z"}
-
-
-def test_a_cloth_goes_with_its_run(a_run, tmp_path):
+def test_a_cloth_goes_with_its_run_and_what_a_killed_writer_left_is_removed(a_run, tmp_path):
+    for left in (".cloth.npz.ab12_x9z", ".cloth.json.ab12_x9z", ".other.npz.ab12_x9z"):
+        (tmp_path / left).write_bytes(b"half, or somebody else's")
     squares = np.random.default_rng(0).integers(0, 256, (6, 6, 3), np.uint8)
     Image.fromarray(squares).save(a_run / "cloth.png")
     write_entry(tmp_path, "cloth", a_run, about="", licence="CC0-1.0")
+    assert {path.name for path in tmp_path.glob(".*")} == {".other.npz.ab12_x9z"}
     back = read_entry(tmp_path, "cloth").write_run(tmp_path / "back")
     assert np.array_equal(np.asarray(Image.open(back / "cloth.png")), squares)
 

@@ -11,7 +11,6 @@ import pytest
 
 import cloak_core
 from cloak_core.cli import COMMANDS
-from cloak_core.commands.help import summary
 from tests.shared_folders import fill_once
 
 ROOT = Path(__file__).parents[2]
@@ -51,25 +50,6 @@ def test_the_reference_has_every_command_and_every_public_name(site: Path) -> No
         assert f'id="cloak_core.{name}"' in python, name
 
 
-@pytest.mark.long
-def test_a_dead_link_and_an_unknown_name_fail(tmp_path: Path) -> None:
-    """Strictness itself, on a site of one page."""
-    (tmp_path / "build" / "docs").mkdir(parents=True)
-    settings = (ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:")[0]
-    (tmp_path / "mkdocs.yml").write_text(settings, "utf-8")
-    page = tmp_path / "build" / "docs" / "index.md"
-
-    def code_of(text: str) -> int:
-        page.write_text(f"# Title\n\n{text}\n", "utf-8")
-        command = [sys.executable, "-m", "zensical", "build", "--strict", "--clean"]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode
-
-    assert code_of("[itself](index.md#title)") == 0
-    assert code_of("[dead](absent.md)") != 0
-    assert code_of("[dead](index.md#absent)") != 0
-    assert code_of("::: cloak_core.Absent") != 0
-
-
 def test_files_that_the_guide_names_are_there() -> None:
     places = (ROOT, ROOT / "cloak_core", ROOT / "blender_addon")
     named = re.findall(r"`((?:[\w.-]+/)+[\w-]+\.\w+)`", (ROOT / "CONTRIBUTING.md").read_text("utf-8"))
@@ -97,14 +77,3 @@ def test_no_public_name_is_without_words() -> None:
         own = [member for member, m in members if not (member.startswith("_") or m.is_alias or m.has_docstring)]
         bare += [f"{name}.{member}" for member in own] + [name] * (not thing.has_docstring)
     assert not bare
-
-
-def test_pages_are_laid_out_with_care(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    build = importlib.import_module("build_docs")
-    page = "93 % `5 %`\n\n    code 5 %\n\n```sh\nx 4 %\n```\n4 ms, 3 mss\n"
-    assert build.unbroken(page) == page.replace("93 %", "93\u00a0%").replace("4 ms,", "4\u00a0ms,")
-    assert build.laid_out("![A](a.png)\n") == "[![A](a.png)](a.png)\n"
-    row = "|" + " 1 |" * 9 + "\n"
-    assert build.laid_out(row).startswith("---\nhide: [toc]\n---\n") and build.laid_out(row[4:]) == row[4:]
-    assert summary("Read .npz files, and\n    more. Not this.\n\n    Nor this.") == "Read .npz files, and more."
