@@ -47,11 +47,11 @@ class EvaluateSettings(RenderOptions):
     """Bodies as Blender's Cycles renders them (needs bpy), in our light, a room's or the sky's; into
     RUN/evaluation-LIGHT."""
     shift: Annotated[int, Bounds()] = 50
-    """The body is moved by up to this many pixels along both axes, as in training; 0 keeps it in the middle."""
+    """The body is moved by up to this many pixels along both axes, as in training."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
     """A person counts as detected above this score."""
     controls: tuple[Literal[NAMES], ...] = STANDARD
-    """What the logo is compared with; people in photographs also wear their own clothes resampled."""
+    """What the logo is compared with; resampled: people's own clothes."""
     bare: Annotated[int, Bounds(1)] = 256
     """At most this many bare backgrounds are looked at for false alarms."""
     resamples: Annotated[int, Bounds(100)] = RESAMPLES
@@ -103,7 +103,7 @@ class FilmSettings(RenderOptions):
     turns: float = 1.0
     """How often an orbit goes around; below 0 the other way."""
     follow: bool = False
-    """The camera looks at the middle of each pose, for people who walk away (default: at that of the whole motion)."""
+    """The camera looks at the middle of each pose (default: at that of the whole motion)."""
     field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
     size: Annotated[int, Bounds(16, 2048)] = 416
@@ -111,9 +111,9 @@ class FilmSettings(RenderOptions):
     fps: Annotated[float, Bounds(0.1, 240)] = 25.0
     """Frames of the film a second."""
     poses_per_second: Positive | None = None
-    """Poses of the scene a second (default: one a frame of a motion; single poses are held for a second each)."""
+    """Poses of the scene a second (default: one a frame; single poses are held for a second each)."""
     seconds: Positive | None = None
-    """Length of a take (default: once through the poses or the keyframes; a moving camera takes at least 4 s)."""
+    """Length of a take (default: once through the poses or the keyframes; with a moving camera 4 s at least)."""
     outfit: Annotated[int, Bounds()] = 0
     """Which of the scene's outfits is the own clothing; further takes wear the next ones."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD

@@ -32,7 +32,7 @@ class RunSettings:
     """How long the run is, and what it keeps."""
 
     epochs: Annotated[float | None, Bounds(ends="()")] = 100.0
-    """Passes over the data, instead of --steps; an epoch shows every background once at every training angle."""
+    """Passes over the data, instead of --steps: every background once at every training angle."""
     steps: Annotated[int | None, Bounds(1, 10_000_000)] = None
     """Updates of the colours, instead of --epochs."""
     batch: Annotated[int, Bounds(1, 4096)] = 8
@@ -65,9 +65,9 @@ class ViewSettings(RenderOptions):
 
     angles: Azimuths = Azimuths(Angles((-10.0, -5.0, 0.0, 5.0, 10.0)))
     """Azimuths of the camera, degrees: 0; -10,0,10; FIRST:LAST:STEP with LAST included; or LOW..HIGH for any angle in
-    between, drawn evenly from sectors of ten degrees. 0..360 is the full circle."""
+    between."""
     angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
-    """Change each azimuth by up to this many degrees, uniformly; 0 keeps the azimuths, so that views can be reused."""
+    """Change each azimuth by up to this many degrees; 0 keeps them, so that views can be reused."""
     elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
     """Camera elevation, degrees: one number, or LOW:HIGH for a uniform draw per image."""
     elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
@@ -108,16 +108,15 @@ class AugmentationSettings:
     noise: Annotated[float, Bounds(0, 1)] = 0.1
     """Amplitude of uniform noise on the colours."""
     cutout: Annotated[float, Bounds(0, 1)] = 0.0
-    """Paint up to this share of the logo's faces grey in each image, around one face, so that no colour depends on the
-    others; 0 switches it off."""
+    """Paint up to this share of the logo's faces grey in each image, around one face; 0 switches it off."""
     crop: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Cut away up to this share of the finished image's width and height, and enlarge the rest."""
+    """Cut away up to this share of the image's width and height, and enlarge the rest."""
     pad: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Shrink the finished image into a grey margin of up to this share of the width and height. With --crop, too, each
-    image gets one of the two."""
+    """Shrink the image into a grey margin of up to this share of its sides; with --crop, each image gets one of the
+    two."""
     blur: Annotated[float, Bounds(0, 2)] = 0.0
-    """Baseline (EOT, Athalye et al., ICML 2018): blur the finished image by a Gaussian of at most this standard
-    deviation, pixels; 0 switches it off."""
+    """Baseline (EOT, Athalye et al., ICML 2018): blur by a Gaussian of at most this standard deviation, pixels; 0:
+    off."""
 
 
 Loss = Literal["score", "objectness", "log", "margin"]
@@ -132,16 +131,14 @@ class LossSettings:
     """What to hide: the class person alone, or every class on the body."""
     loss: Loss = "score"
     """What is minimised of an image's surest box: score, of the person; objectness, where person is the likeliest
-    class; log, which is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score
-    lies above the detector's own operating point, in logits."""
+    class; log, -log(1 - score); or margin, logits above the detector's own operating point."""
     ensemble: Literal["mean", "adaptive"] = "mean"
-    """How the losses of several detectors are combined: their mean, or adaptive, by how surely each detector found a
-    person lately."""
+    """How the losses of several detectors are combined: mean, or adaptive: by how surely each lately found a person."""
     detectors_per_step: Annotated[int | None, Bounds(1, 4096)] = None
     """Ask at most this many detectors in each step, drawn at random; None asks all."""
     tv_weight: NotNegative = 2.5
-    """Weight of total variation: the sum over inner edges of length (metres) times colour difference, divided by the
-    number of the logo's faces."""
+    """Weight of total variation: inner edges' length (metres) times colour difference, by the number of the logo's
+    faces."""
     nps_weight: NotNegative = 0.0
     """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
     palette: str | None = None
@@ -158,19 +155,17 @@ class PatternSettings:
     """Which colours there may be, and how finely they may change."""
 
     pattern: Literal["free", "camouflage", "tile"] = "free"
-    """Where colours may change: free, from face to face; camouflage, between patches no smaller than --feature-cm;
-    tile, between squares of --feature-cm in a cloth that repeats every --tile-cm, and may lie anywhere on the body."""
+    """Where colours may change: free, from face to face; camouflage, between patches of --feature-cm; tile, between
+    squares of --feature-cm in a cloth that repeats every --tile-cm."""
     feature_cm: Annotated[float, Bounds(0, 100, "(]")] = 2.0
     """Diameter of the smallest patch, centimetres along the body in the first pose."""
     tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
     """For --pattern tile: width and height of the cloth that repeats, centimetres."""
     colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
-    """End with at most this many distinct colours (inks, yarns, cloths): chosen from --palette, or learnt without one.
-    None gives each face its own colour."""
+    """End with at most this many distinct colours, of --palette or learnt; None gives each face its own."""
     near: str | None = None
-    """Stay close to a garment: #rrggbb, clothing (the first outfit), camouflage (a woodland print), a picture as cloth
-    (FILE.png@tile=0.5, metres), colours of this logo (.npy), a run of it or zoo:NAME. With --pattern, to its mean in
-    each patch or square."""
+    """Stay close to a garment: #rrggbb, clothing, camouflage (a woodland print), FILE.png@tile=METRES, colours of this
+    logo (.npy), a run or zoo:NAME; with --pattern to its mean in each square."""
     within: Positive | None = None
     """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
     within_most: Positive | None = None
@@ -197,8 +192,7 @@ class SurrogateSettings:
     """
 
     shake: Annotated[float, Bounds(0, 1)] = 0.0
-    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this; 0 switches
-    it off."""
+    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this; 0: off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,8 +200,7 @@ class OptimizerSettings:
     """How the colours begin and move."""
 
     optimizer: Literal["sgd", "adam", "mi"] = "sgd"
-    """SGD, Adam, or the baseline mi (MI-FGSM, Dong et al., CVPR 2018): sign steps along a momentum of normalised
-    gradients."""
+    """SGD, Adam, or the baseline mi (MI-FGSM, Dong et al., CVPR 2018): sign steps along a momentum."""
     lr: Positive = 0.1
     """Learning rate, in units of colour [0, 1]."""
     momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
@@ -217,23 +210,19 @@ class OptimizerSettings:
     gamut: Literal["projection", "sigmoid"] = "projection"
     """How colours stay in [0, 1]: projection after every update, or the sigmoid of free parameters."""
     initial: Literal[("grey", "random", "clothing", "animal", *PRINTS)] = "grey"
-    """First colours: grey; random, uniform per face and channel; clothing, the first outfit; animal, a dog's face on
-    front and back, which helps against detectors of many classes; or a plain print that repeats every 25 cm, which
-    helps a cloth (--pattern tile), by its name: balls against detectors of many classes, crowd (people) against those
-    that know no fruit."""
+    """First colours: grey; random; clothing, the first outfit; animal, a dog's face, which helps against detectors of
+    many classes; or a plain print that repeats every 25 cm, for a cloth: balls, crowd, ..."""
     init: str | None = None
     """Begin with these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
     transfer`)."""
     initial_share: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Share of the first colours in what is written: 0 writes what training found, 0.5 the mean of both (WiSE-FT,
-    Wortsman et al., CVPR 2022). Where training begins with a print, 0.5 hides more people from detectors that it never
-    saw. Needs a print (--initial) or --init."""
+    """Share of the first colours in what is written (WiSE-FT, Wortsman et al., CVPR 2022): 0.5 helps a print
+    (--initial) or --init against detectors that training never saw."""
     octaves: Annotated[int, Bounds(1, 10)] = 1
-    """Make colours the sum of this many grids, each twice as coarse as the one before, so that large areas are found as
-    readily as single faces; 1 has the faces' own colours alone. Needs --gamut sigmoid."""
+    """Colours are the sum of this many grids, each twice as coarse as the one before; 1: the faces' own alone. Needs
+    --gamut sigmoid."""
     smooth: Annotated[int, Bounds(0, 1000)] = 0
-    """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
-    frequencies are learnt; 0 gives each face its own colour."""
+    """Rounds of averaging with neighbouring faces between the free parameters and the colours; 0: each face its own."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
@@ -252,6 +241,6 @@ class QuerySettings:
 
     black_box_queries: Annotated[int | None, Bounds(1, 10_000_000)] = None
     """Search with the detectors' answers alone, with this many images in all; best begun from transferred colours
-    (--init). Steps, optimiser and loss have no effect then. None trains by gradients."""
+    (--init). None trains by gradients."""
     query_change: Annotated[float, Bounds(0, 1, "(]")] = 0.1
     """How far a query moves the colours to either side, in units of colour [0, 1]."""

@@ -13,4 +13,4 @@ class PeopleSettings:
     """How photographs of people are shown, where there are any (--people)."""
 
     people_share: Annotated[float, Bounds(0, 1)] = 1.0
-    """Share of the images that are photographs; the others are renders of the scene. Without a scene all are."""
+    """Share of the images that are photographs, the others being renders of the scene."""

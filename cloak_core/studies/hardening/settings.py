@@ -23,32 +23,30 @@ class HardenSettings:
     clean: Annotated[int, Bounds(0, 4096)] = 3
     """How many of these images are also shown in their own clothes."""
     cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
-    """How much an image in a cloak counts beside one without and a picture in the last fifth of the updates; before it
-    counts 1. More makes the detector more robust, less keeps more of its answers without cloaks."""
+    """Weight of images with a cloak in the last fifth of the updates (1 before): more is more robust, less keeps more
+    of the answers without cloaks."""
     perturbation: Annotated[float, Bounds(0, 0.5)] = 0.0157
-    """Beside its cloak, how far each pixel of an image may be moved (l-infinity norm), in units of colour; 0.0157 is
-    4/255. 0: not at all."""
+    """Beside its cloak, how far each pixel may be moved (l-infinity norm), in units of colour; 0.0157 is 4/255."""
     replays: Annotated[int, Bounds(1, 100)] = 2
-    """Updates of the detector on a turn's images where they are perturbed, each along the slope of the one before."""
+    """Updates on a turn's images where they are perturbed, each along the slope of the one before."""
     pictures: Annotated[int, Bounds(0, 4096)] = 3
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
     decoys: Annotated[int, Bounds(0, 4096)] = 5
-    """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
-    which the detector is to say what it said without the cloth."""
+    """Such pictures per update with patterned cloth that nobody wears, of which the detector is to say what it said
+    without."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 20
-    """Steps of an update's cloak against the detector as it stands, on the images that the update learns from."""
+    """Steps of an update's cloak against the detector as it stands."""
     cloths: Annotated[float, Bounds(0, 1)] = 0.3
-    """Share of the new cloaks that are a cloth that repeats every 20 to 55 cm, as published textures do. It begins as a
-    plain print or a random pattern."""
+    """Share of the new cloaks that are a cloth that repeats every 20 to 55 cm."""
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
     attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.1
     """Their learning rate (Adam), in units of colour."""
     lr: Annotated[float | None, Bounds(0, 1, "()")] = None
-    """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0, and for the last fifth of
-    the updates another from half the height. None: 1e-3 for the built-in detector and Darknet's, 1e-4 for others."""
+    """Learning rate of the detector (AdamW) at its height. None: 1e-3 for the built-in detector and Darknet's, 1e-4 for
+    others."""
     sure: Annotated[float, Bounds(0, 1, "[)")] = 0.9
     """Where the unhardened detector reports the rendered person, it is to be at least so sure; 0: as sure as it was."""
     average: Annotated[float, Bounds(0, 1, "[)")] = 0.99
@@ -56,9 +54,8 @@ class HardenSettings:
     size: Annotated[int, Bounds(32, 4096)] = 320
     """Width and height of the rendered images, pixels."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Precision of the network while it learns and is attacked; what is written has float32 either way. auto: bfloat16
-    on processors with matrix tiles for it (AMX), where it takes less than half the time; elsewhere float32. With AVX2
-    alone bfloat16 takes ten times as long, on a GPU as long as float32."""
+    """Precision of the network while it learns and is attacked; auto: bfloat16 on processors with matrix tiles (AMX),
+    where it takes half the time, else float32."""
     checkpoint_every: Annotated[int, Bounds(1, 10_000_000)] = 50
     """Steps between checkpoints."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
