@@ -15,16 +15,16 @@ import torch
 
 from cloak_core.bench.measuring import check_counts, machine, timed_in_turn, write_rows
 from cloak_core.bench.views import chest_and_thighs
-from cloak_core.core.batches import Prefetcher
+from cloak_core.core.batches import Batcher, Prefetcher
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import EventLog
 from cloak_core.core.logo import make_logo, shirt_trousers
 from cloak_core.core.losses import person_loss
 from cloak_core.core.objective import Objective, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.technique import Setup
-from cloak_core.core.train import make_batcher
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.jobs.job import Tell
@@ -34,7 +34,7 @@ from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.pace import in_turn
 from cloak_core.studies.trainings.run_record import Training
-from cloak_core.studies.trainings.training import make_material
+from cloak_core.studies.trainings.training import make_source
 from cloak_core.techniques import build_techniques
 
 _log = logging.getLogger(__name__)
@@ -101,9 +101,10 @@ class Bench:
             logo_faces = shirt_trousers(bodies) if people else chest_and_thighs(bodies)
         self.logo = make_logo(bodies, logo_faces)
         self.pattern = pattern_of(settings.pattern, bodies, self.logo)
-        material = make_material(Training(settings, bodies, self.logo, (), backgrounds, people), self.device)
-        self.is_fresh = material.source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
-        self.batcher = make_batcher(settings, material, self.pattern, self.device)
+        source = make_source(Training(settings, bodies, self.logo, (), backgrounds, people), self.device)
+        self.is_fresh = source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
+        sampler = Sampler(settings, source, len(backgrounds))
+        self.batcher = Batcher(settings, sampler, backgrounds, self.pattern, self.device)
         plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
         views = plan.members * plan.directions * plan.outfit_count
         # Every view that is kept is to be met before the clock runs: drawn at random, all of n are met after about

@@ -35,14 +35,6 @@ from cloak_core.files.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """What images are made of."""
-
-    source: Source
-    backgrounds: Backdrops
-
-
-@dataclass(frozen=True, eq=False)
 class Job:
     """One training."""
 
@@ -51,7 +43,8 @@ class Job:
     first: Float[np.ndarray, "C 3"]
     """The colours to begin with."""
     techniques: Techniques
-    trained: Material
+    source: Source
+    backgrounds: Backdrops
     detectors: Sequence[Detector]
     query_prior: Sequence[Detector]
     """Whose gradients lead a search by questions."""
@@ -71,7 +64,8 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
         # By name: who reads how training goes need not read how searching does.
         search = importlib.import_module("cloak_core.core.black_box")
     drawn = settings if search is None else search.search_settings(settings, len(job.detectors))
-    batcher = make_batcher(drawn, job.trained, pattern, device)
+    sampler = Sampler(drawn, job.source, len(job.backgrounds))
+    batcher = Batcher(drawn, sampler, job.backgrounds, pattern, device)
     first = torch.from_numpy(job.first).to(device)
     with contextlib.ExitStack() as stack:
 
@@ -94,12 +88,6 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
     for detector, record in zip(job.detectors, job.config["detectors"], strict=True):
         detector.verify(record["sha256"])
     return result
-
-
-def make_batcher(settings: TrainSettings, material: Material, pattern: Pattern, device: torch.device) -> Batcher:
-    """Make what draws and builds a run's batches."""
-    sampler = Sampler(settings, material.source, len(material.backgrounds))
-    return Batcher(settings, sampler, material.backgrounds, pattern, device)
 
 
 def _require_plain(job: Job, world: World) -> None:

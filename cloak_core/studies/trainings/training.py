@@ -17,7 +17,7 @@ from cloak_core.core.loop import TrainingError
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.source import Mixture
 from cloak_core.core.technique import Setup, Techniques
-from cloak_core.core.train import Job, Material, run_training
+from cloak_core.core.train import Job, run_training
 from cloak_core.core.training import RunResult
 from cloak_core.core.world import LostProcess, World, join_world, local_device
 from cloak_core.exchange.bodies import Bodies
@@ -100,10 +100,10 @@ def make_job(training: Training, world: World) -> Job:
     else:
         first = pattern.from_faces(start)
     config = run_config(training, world.size, _files(start, techniques))
-    material = make_material(training, device)
+    source = make_source(training, device)
     if not training.people or settings.photographs.people_share < 1:
-        bodies_of(material.source).require_visible(pattern)
-    return Job(settings, pattern, first, techniques, material, detectors, surrogates, config)
+        bodies_of(source).require_visible(pattern)
+    return Job(settings, pattern, first, techniques, source, training.backgrounds, detectors, surrogates, config)
 
 
 def _start(training: Training) -> Float32[np.ndarray, "L 3"] | None:
@@ -117,16 +117,15 @@ def _files(start: Float32[np.ndarray, "L 3"] | None, techniques: Techniques) -> 
     return techniques.content() | ({} if start is None else {"start": {"sha256": sha256_arrays(start)}})
 
 
-def make_material(training: Training, device: torch.device) -> Material:
+def make_source(training: Training, device: torch.device) -> BodySource | Mixture:
     """Make the source of bodies, and of people in photographs where there are any."""
     settings = training.settings
     bodies = BodySource.trained(training.bodies, settings.views, device)
     fits = Fits.of(training.people)
     if not fits:
-        return Material(bodies, training.backgrounds)
+        return bodies
     people = PeopleSource(fits, settings.views.size, settings.run.seed, device=device)
-    mixed = Mixture(bodies, people, settings.photographs.people_share, settings.run.seed)
-    return Material(mixed, training.backgrounds)
+    return Mixture(bodies, people, settings.photographs.people_share, settings.run.seed)
 
 
 def bodies_of(source: BodySource | Mixture) -> BodySource:
