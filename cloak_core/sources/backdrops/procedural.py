@@ -13,9 +13,7 @@ from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
 from cloak_core.sources.backdrops import procedural_tiles as tiles
 from cloak_core.sources.backdrops.procedural_canvas import NEAR, Canvas, Number, Span
-from cloak_core.sources.backdrops.procedural_tiles import Color, random_color, shade
-
-Rng = np.random.Generator
+from cloak_core.sources.backdrops.procedural_tiles import Color, Rng, random_color, shade
 
 
 def draw_scene(rng: Rng, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
@@ -32,14 +30,12 @@ def draw_scene(rng: Rng, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
 def _sky(rng: Rng, canvas: Canvas) -> Color:
     """Clear, cloudy, overcast or dusk; returns the colour at the horizon."""
     top = random_color(rng, (0.52, 0.66), (0.05, 0.75), (0.35, 1))
-    low = (
-        random_color(rng, (0.5, 0.65), (0, 0.25), (0.7, 1)) if rng.random() < 0.7 else random_color(rng, (-0.05, 0.15))
-    )
+    pale = rng.random() < 0.7
+    low = random_color(rng, (0.5, 0.65), (0, 0.25), (0.7, 1)) if pale else random_color(rng, (-0.05, 0.15))
     sky = tiles.vertical_gradient(top, low, canvas.height, canvas.width)
     if rng.random() < 0.6:
-        field = tiles.fractal(rng, canvas.height // 4, canvas.width // 4, rng.uniform(1.5, 5), 4) + rng.uniform(
-            -0.8, 0.6
-        )
+        field = tiles.fractal(rng, canvas.height // 4, canvas.width // 4, rng.uniform(1.5, 5), 4)
+        field = field + rng.uniform(-0.8, 0.6)
         mask = Image.fromarray((field * 160).clip(0, 235).astype(np.uint8)).resize(sky.size, Image.Resampling.BILINEAR)
         sky.paste(shade(low, rng.uniform(0.8, 1.2)), (0, 0), mask)
     canvas.image.paste(sky)
@@ -107,15 +103,8 @@ def _wood(rng: Rng, canvas: Canvas) -> None:
         lean = rng.normal(0, 0.25)
         width = rng.uniform(0.12, 0.6)
         top = rng.uniform(6, 14)
-        canvas.quad(
-            (
-                (x + lean - width / 3, top, z),
-                (x + lean + width / 3, top, z),
-                (x + width / 2, 0, z),
-                (x - width / 2, 0, z),
-            ),
-            bark,
-        )
+        crown = ((x + lean - width / 3, top, z), (x + lean + width / 3, top, z))
+        canvas.quad((*crown, (x + width / 2, 0, z), (x - width / 2, 0, z)), bark)
         if rng.random() < 0.3:
             canvas.blob(x, rng.uniform(0, 4), z, rng.uniform(0.3, 1.2), leaves, rng)
 
@@ -195,9 +184,8 @@ def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
     elif kind == 2:
         high = rng.uniform(1.2, 4)
         canvas.upright(x, z, 0.06, high, skin)
-        canvas.blob(
-            x, high, z, rng.uniform(0.1, 0.3), tiles.rough(rng, random_color(rng, (0, 0.2), (0, 0.6), (0.6, 1))), rng
-        )
+        radius = rng.uniform(0.1, 0.3)
+        canvas.blob(x, high, z, radius, tiles.rough(rng, random_color(rng, (0, 0.2), (0, 0.6), (0.6, 1))), rng)
     elif kind == 3:
         canvas.box(x, z, tuple(rng.uniform((0.25, 0.3, 0.2), (0.8, 2.1, 0.8)).tolist()), skin)
     elif kind == 4:
@@ -288,9 +276,8 @@ def _furniture(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
         canvas.box(x, z, (wide, 0.06, deep), cover, top)
         for _ in range(rng.integers(0, 4)):
             size = tuple(rng.uniform(0.06, 0.3, 3).tolist())
-            canvas.box(
-                x + rng.uniform(-0.4, 0.4) * wide, z, size, tiles.rough(rng, random_color(rng), (16, 16)), top + 0.06
-            )
+            at = x + rng.uniform(-0.4, 0.4) * wide
+            canvas.box(at, z, size, tiles.rough(rng, random_color(rng), (16, 16)), top + 0.06)
     elif kind == 1:
         canvas.box(x, z + deep, (wide, rng.uniform(0.7, 1.1), 0.2), cover)
         canvas.box(x, z, (wide, 0.42, deep), cover)

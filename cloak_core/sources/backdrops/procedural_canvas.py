@@ -9,6 +9,7 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageEnhance
 
 from cloak_core.core.pictures import perspective
+from cloak_core.sources.backdrops.procedural_tiles import Rng
 
 Number = float | int
 Span = tuple[Number, Number]
@@ -19,7 +20,7 @@ NEAR = 0.3
 class Canvas:
     """An image and the level camera that looks at it: metres, x right, y up from the ground, z ahead."""
 
-    def __init__(self, rng: np.random.Generator, height: int, width: int) -> None:
+    def __init__(self, rng: Rng, height: int, width: int) -> None:
         self.image = Image.new("RGB", (width, height))
         self.height, self.width = height, width
         self.focal = height * rng.uniform(0.7, 1.5)
@@ -86,9 +87,7 @@ class Canvas:
         """Draw a picture standing on the ground, facing the camera."""
         self.panel((x - width / 2, x + width / 2), (0, height), z, tile)
 
-    def box(
-        self, x: Number, z: Number, size: tuple[Number, Number, Number], tile: Image.Image, base: Number = 0.0
-    ) -> None:
+    def box(self, x: Number, z: Number, size: tuple[Number, ...], tile: Image.Image, base: Number = 0.0) -> None:
         """Draw a box of (width, height, depth) whose front is at z and stands `base` above the ground."""
         left, right, top, back = x - size[0] / 2, x + size[0] / 2, base + size[1], z + size[2]
         if top < self.eye:
@@ -99,9 +98,7 @@ class Canvas:
             self.side(right, (z, back), (base, top), tile, 0.75)
         self.panel((left, right), (base, top), z, tile, 0.95)
 
-    def blob(
-        self, x: Number, y: Number, z: Number, radius: Number, tile: Image.Image, rng: np.random.Generator
-    ) -> None:
+    def blob(self, x: Number, y: Number, z: Number, radius: Number, tile: Image.Image, rng: Rng) -> None:
         """Draw a ragged round patch of a picture, such as the crown of a tree."""
         centre = self.project(np.array([[x, y, z]]))[0]
         r = radius * self.focal / max(z, NEAR)

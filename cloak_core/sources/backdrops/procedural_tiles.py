@@ -11,13 +11,12 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw
 
+Rng = np.random.Generator
 Color = tuple[int, int, int]
 Range = tuple[float | int, float | int]
 
 
-def random_color(
-    rng: np.random.Generator, hue: Range = (0, 1), saturation: Range = (0.05, 0.6), value: Range = (0.2, 0.95)
-) -> Color:
+def random_color(rng: Rng, hue: Range = (0, 1), saturation: Range = (0.05, 0.6), value: Range = (0.2, 0.95)) -> Color:
     """Draw an 8-bit colour with hue, saturation and value drawn uniformly (hue wraps around at 1)."""
     red, green, blue = colorsys.hsv_to_rgb(rng.uniform(*hue) % 1, rng.uniform(*saturation), rng.uniform(*value))
     return int(red * 255), int(green * 255), int(blue * 255)
@@ -29,7 +28,7 @@ def shade(color: Color, factor: float) -> Color:
 
 
 def fractal(
-    rng: np.random.Generator, height: int, width: int, cells: float | int = 4, octaves: int = 4, falloff: float = 0.55
+    rng: Rng, height: int, width: int, cells: float | int = 4, octaves: int = 4, falloff: float = 0.55
 ) -> Float[np.ndarray, "H W"]:
     """Smooth noise of about zero mean and unit size: `cells` bumps across, each octave twice as fine and `falloff` as
     strong."""
@@ -49,15 +48,13 @@ def blend(field: Float[np.ndarray, "H W"], dark: Color, light: Color) -> Image.I
     return Image.fromarray(pixels.astype(np.uint8))
 
 
-def rough(
-    rng: np.random.Generator, color: Color, size: tuple[int, int] = (96, 96), contrast: float = 0.25
-) -> Image.Image:
+def rough(rng: Rng, color: Color, size: tuple[int, int] = (96, 96), contrast: float = 0.25) -> Image.Image:
     """Draw plaster, concrete, soil, grass: one colour with noise; `size` is (width, height)."""
     field = fractal(rng, size[1], size[0], cells=rng.uniform(3, size[0] / 4), octaves=3, falloff=rng.uniform(0.5, 1.1))
     return blend(field * rng.uniform(0.3, 0.8), shade(color, 1 - contrast), shade(color, 1 + contrast))
 
 
-def grid(rng: np.random.Generator, color: Color, rows: int, columns: int, offset: bool) -> Image.Image:
+def grid(rng: Rng, color: Color, rows: int, columns: int, offset: bool) -> Image.Image:
     """Draw bricks (`offset`), tiles or planks: cells of slightly different colour with joints between them."""
     cell = max(4, 160 // max(rows, columns))
     width, height = columns * cell * (2 if offset else 1), rows * cell
@@ -74,7 +71,7 @@ def grid(rng: np.random.Generator, color: Color, rows: int, columns: int, offset
     return image
 
 
-def checker(rng: np.random.Generator) -> Image.Image:
+def checker(rng: Rng) -> Image.Image:
     """Draw a floor of two colours."""
     color = random_color(rng, saturation=(0, 0.5))
     other_color = shade(color, rng.uniform(0.4, 0.8)) if rng.random() < 0.6 else random_color(rng)
@@ -84,7 +81,7 @@ def checker(rng: np.random.Generator) -> Image.Image:
     return small.resize((cells * 16, cells * 16), Image.Resampling.NEAREST)
 
 
-def stripes(rng: np.random.Generator, upright: bool = True) -> Image.Image:
+def stripes(rng: Rng, upright: bool = True) -> Image.Image:
     """Draw wallpaper, curtains, cladding: bands of two colours, soft or hard."""
     color = random_color(rng, saturation=(0, 0.5))
     other_color = shade(color, rng.uniform(0.5, 0.95))
@@ -94,14 +91,14 @@ def stripes(rng: np.random.Generator, upright: bool = True) -> Image.Image:
     return blend(field if upright else np.ascontiguousarray(field.T), other_color, color)
 
 
-def foliage(rng: np.random.Generator, height: int, width: int, hue: Range = (0.16, 0.42)) -> Image.Image:
+def foliage(rng: Rng, height: int, width: int, hue: Range = (0.16, 0.42)) -> Image.Image:
     """Draw leaves: clumps in light and shadow, with speckle as fine as the pixels."""
     field = fractal(rng, height, width, cells=rng.uniform(3, 9), octaves=5, falloff=rng.uniform(0.65, 0.95))
     dark, light = random_color(rng, hue, (0.3, 0.8), (0.05, 0.25)), random_color(rng, hue, (0.25, 0.8), (0.4, 0.85))
     return blend(field * 0.6 + rng.uniform(-0.3, 0.2), dark, light)
 
 
-def window(rng: np.random.Generator) -> Image.Image:
+def window(rng: Rng) -> Image.Image:
     """Draw a framed window: panes with sky, dark room or garden behind."""
     width, height = 60, 80
     frame = random_color(rng, saturation=(0, 0.3), value=(0.2, 1))
@@ -123,7 +120,7 @@ def window(rng: np.random.Generator) -> Image.Image:
     return view
 
 
-def door(rng: np.random.Generator) -> Image.Image:
+def door(rng: Rng) -> Image.Image:
     """Draw a door with panels and a knob."""
     width, height = 48, 104
     color = random_color(rng, saturation=(0, 0.6), value=(0.15, 0.95))
@@ -138,7 +135,7 @@ def door(rng: np.random.Generator) -> Image.Image:
     return image
 
 
-def poster(rng: np.random.Generator) -> Image.Image:
+def poster(rng: Rng) -> Image.Image:
     """Draw a picture on the wall: blocks, discs and lines of any colour in a frame."""
     width, height = (int(v) for v in rng.integers(50, 120, 2))
     image = rough(rng, random_color(rng, saturation=(0, 0.9)), (width, height))
@@ -153,7 +150,7 @@ def poster(rng: np.random.Generator) -> Image.Image:
     return image
 
 
-def shelf(rng: np.random.Generator) -> Image.Image:
+def shelf(rng: Rng) -> Image.Image:
     """Draw shelves of books, boxes and bottles."""
     image = Image.new("RGB", (120, 128), random_color(rng, (0.03, 0.12), (0.2, 0.6), (0.1, 0.6)))
     draw = ImageDraw.Draw(image)
@@ -171,7 +168,7 @@ def shelf(rng: np.random.Generator) -> Image.Image:
     return image
 
 
-def facade(rng: np.random.Generator, rows: int, columns: int) -> Image.Image:
+def facade(rng: Rng, rows: int, columns: int) -> Image.Image:
     """Draw the face of a building: rows of one kind of window, perhaps a shop front at the bottom."""
     color = random_color(rng, saturation=(0, 0.45), value=(0.25, 0.95))
     cell_w, cell_h = (int(v) for v in rng.integers(16, 30, 2))

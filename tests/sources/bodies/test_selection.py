@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from cloak_core.files.errors import InputError
-from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.selection import select, split_selection
@@ -53,11 +52,6 @@ def test_some_bodies_of_a_scene() -> None:
     assert np.array_equal(some.vertices, everything.vertices[walking])
     assert some.topology == everything.topology
     assert load_scene("sample[0:3]").pose_count == 3
-
-
-def test_some_backgrounds() -> None:
-    whole, odd = load_backgrounds("procedural:test:6:2"), load_backgrounds("procedural:test:6:2[1::2]")
-    assert odd.identities() == whole.identities()[1::2]
 
 
 def test_a_file_that_is_called_so_is_taken_by_its_name(tmp_path) -> None:

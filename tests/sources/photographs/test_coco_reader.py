@@ -3,13 +3,11 @@
 import copy
 import itertools
 import json
-import random
 from pathlib import Path
 
 import pytest
 
 from cloak_core.files.errors import InputError
-from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import write_people
 
@@ -87,24 +85,3 @@ def test_ids_may_be_names_of_images_and_whole_numbers_with_a_point(sound) -> Non
         annotation["id"] = float(annotation["id"])
     path.write_text(json.dumps(named))
     assert len(load_people(path)) == 2
-
-
-@pytest.mark.long
-def test_no_value_anywhere_ends_in_a_traceback(sound) -> None:
-    """Every place of the record, each with hostile values; what is read is also fitted."""
-    path, record = sound
-    cases = [(place, value) for place in places(record) if place for value in HOSTILE]
-    chosen = random.Random(0).sample(cases, 300)
-    read = 0
-    for place, value in chosen:
-        path.write_text(json.dumps(with_value(record, place, value)))
-        try:
-            people = load_people(path)
-        except InputError as error:
-            assert str(error).isprintable()
-            continue
-        read += 1
-        assert people.people
-    assert 0 < read < len(chosen)
-    path.write_text(json.dumps(record))
-    assert fit_people(load_people(path))

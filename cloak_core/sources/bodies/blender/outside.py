@@ -21,7 +21,7 @@ from cloak_core.sources.bodies.meshes.mesh_file import MeshFile, to_srgb
 
 ROOT = Path(__file__).resolve().parents[4]
 # The bpy package may wait for ever at a regular exit.
-PROBE = "import os, bpy; os._exit(0)"
+VERSION = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0)"
 IN_BACKGROUND = ("-b", "--factory-startup", "-P")
 
 
@@ -43,21 +43,16 @@ def find_bpy() -> str | None:
     places = [named] if named and not Path(named).name.startswith("blender") else []
     places += [sys.executable] if importlib.util.find_spec("bpy") else []
     places += [str(place) for place in sorted(ROOT.glob(".venv-blender*/bin/python"))]
-    return next(filter(_has_bpy, places), None)
+    return next(filter(bpy_version, places), None)
 
 
-def bpy_version(python: str) -> str:
-    """Read Blender's version in such a Python, such as "4.2.0"."""
-    script = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0)"
-    output = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=60, check=True).stdout
-    return output.strip().splitlines()[-1]
-
-
-def _has_bpy(python: str) -> bool:
+def bpy_version(python: str) -> str | None:
+    """Read Blender's version in a Python that has bpy, such as "4.2.0"; None where it has none."""
     try:
-        return subprocess.run([python, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0
-    except (OSError, subprocess.TimeoutExpired):
-        return False
+        done = subprocess.run([python, "-c", VERSION], capture_output=True, text=True, timeout=60, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip().splitlines()[-1]
 
 
 SUFFIXES = (".abc", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".blend")

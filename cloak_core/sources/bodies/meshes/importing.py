@@ -3,6 +3,7 @@ whatever Blender reads."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -47,18 +48,20 @@ def import_bodies(
         raise InputError(f"scale {scale}: a positive number is needed")
     first = None
     poses, names = [], []
+    again: Counter[str] = Counter()
     for path in paths:
         bodies = read_bodies(path, first, frames)
         first = first or bodies
         if bodies.topology != first.topology:
             raise InputError(f"{path}: topology {bodies.topology} differs from {paths[0]}'s {first.topology}")
-        vertices = bodies.vertices if scale is None else bodies.vertices * np.float32(scale)
         if scale is None:
-            check_heights(path, vertices)
-        poses.append(vertices)
-        names += bodies.names
+            check_heights(path, bodies.vertices)
+        poses.append(bodies.vertices if scale is None else bodies.vertices * np.float32(scale))
+        for own in bodies.names:  # those that come again have a number behind them
+            again[own] += 1
+            names.append(own if again[own] == 1 else f"{own} {again[own]}")
     vertices = np.concatenate(poses)
-    return replace(first, vertices=vertices, names=unique_names(names), name=name, recorded_topology=first.topology)
+    return replace(first, vertices=vertices, names=tuple(names), name=name, recorded_topology=first.topology)
 
 
 def read_bodies(path: Path, first: Bodies | None = None, frames: int = 0) -> Bodies:
@@ -122,21 +125,12 @@ def bodies_of(mesh: MeshFile, name: str, first: Bodies | None) -> Bodies:
 
 
 def check_heights(path: Path, vertices: np.ndarray) -> None:
-    heights = np.ptp(vertices[..., 1], axis=1)
     low, high = HEIGHTS
-    for height in heights[(heights < low) | (heights > high)][:1]:
+    for height in np.ptp(vertices[..., 1], axis=1):
+        if low <= height <= high:
+            continue
         guess = 0.01 if height > high else 100
         raise InputError(
             f"{path}: {height:.3g} m from foot to head, so its unit is not the metre or y is not up"
             f" (scale {guess} would make it {height * guess:.3g} m)"
         )
-
-
-def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Make names unique, with a number behind those that come again."""
-    seen: dict[str, int] = {}
-    unique = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(name if seen[name] == 1 else f"{name} {seen[name]}")
-    return tuple(unique)

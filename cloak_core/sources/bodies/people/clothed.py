@@ -52,13 +52,11 @@ def clothed_bodies(split: str = "all", tight: bool = False) -> Bodies:
 
 @lru_cache(maxsize=4)
 def _clothed(split: str, tight: bool) -> Bodies:
-    data = read_npz(DATA)
+    data, (samples, _) = read_npz(DATA), load_samples()
     quads = data["quads"].astype(np.int32)
     owner = data["owner"]
     source = data["source_face"].astype(np.int64)
-    chosen = [
-        clip for clip, unseen in enumerate(data["clip_unseen"]) if split in ("all", ("train", "unseen")[int(unseen)])
-    ]
+    chosen = [c for c, unseen in enumerate(data["clip_unseen"]) if split in ("all", ("train", "unseen")[int(unseen)])]
     loop_total = np.full(len(quads), 4, np.int32)
     # As the first pose of all has it, whichever poses are asked for.
     corners, triangle_face = triangulate(_poses(data, 0, tight=True)[0], loop_total, quads.reshape(-1))
@@ -66,8 +64,8 @@ def _clothed(split: str, tight: bool) -> Bodies:
         vertices=np.concatenate([_poses(data, clip, tight) for clip in chosen]).astype(np.float32),
         triangles=quads.reshape(-1)[corners],
         triangle_face=triangle_face,
-        face_colors=_outfits(owner, source),
-        regions=_regions(owner, source),
+        face_colors=_outfits(samples, owner, source),
+        regions=_regions(samples, owner, source),
         names=tuple(f"{data['clip_names'][c]}-{frame:02}" for c in chosen for frame in range(data["clip_frames"][c])),
         loop_total=loop_total,
         loop_vertices=quads.reshape(-1),
@@ -81,11 +79,13 @@ def _poses(data: dict[str, np.ndarray], clip: int, tight: bool) -> Float64[np.nd
     cut_from = skin[:, data["cut_from"]]
     bare = int(data["skin_vertices"])
     if tight:
-        away = tight_offsets(data, skin[:, data["cut_from"]])
+        away = tight_offsets(data, cut_from)
     else:
         first = int(data["clip_frames"][:clip].sum())
         frames = slice(first, first + int(data["clip_frames"][clip]))
-        away = cloth_steps(data["cloth"][frames]) * float(data["cloth_step"])
+        # Stored are differences along the vertices, then along the frames, modulo 2^16.
+        steps = np.cumsum(np.cumsum(data["cloth"][frames], axis=0, dtype=np.int16), axis=1, dtype=np.int16)
+        away = steps * float(data["cloth_step"])
     return np.concatenate([skin[:, :bare], cut_from + away], axis=1)
 
 
@@ -108,11 +108,6 @@ def skin_of(data: dict[str, np.ndarray], clip: int) -> Float64[np.ndarray, "fram
     return skin
 
 
-def cloth_steps(stored: np.ndarray) -> np.ndarray:
-    """Decode [frames, G, 3] int16: differences along the vertices, then along the frames, modulo 2^16."""
-    return np.cumsum(np.cumsum(stored, axis=0, dtype=np.int16), axis=1, dtype=np.int16)
-
-
 def tight_offsets(
     data: dict[str, np.ndarray], cut_from: Float64[np.ndarray, "frames G 3"]
 ) -> Float[np.ndarray, "f G 3"]:
@@ -132,9 +127,8 @@ def tight_offsets(
     return normal / np.maximum(length, 1e-12)[..., None] * thickness[:, None]
 
 
-def _outfits(owner: np.ndarray, source: np.ndarray) -> np.ndarray:
+def _outfits(samples: Bodies, owner: np.ndarray, source: np.ndarray) -> np.ndarray:
     """Take the samples' outfits [K, F, 3]: arms and ankles that look out of the garments are bare."""
-    samples, _ = load_samples()
     first = {name: int(np.flatnonzero(mask)[0]) for name, mask in samples.regions.items()}
     worn = source.copy()
     worn[owner == 1], worn[owner == 2] = first["chest"], first["thighs"]
@@ -143,8 +137,7 @@ def _outfits(owner: np.ndarray, source: np.ndarray) -> np.ndarray:
     return samples.face_colors[:, worn]
 
 
-def _regions(owner: np.ndarray, source: np.ndarray) -> dict[str, np.ndarray]:
-    samples, _ = load_samples()
+def _regions(samples: Bodies, owner: np.ndarray, source: np.ndarray) -> dict[str, np.ndarray]:
     regions_of_source = {name: mask[source] for name, mask in samples.regions.items()}
     regions = {name: owner == number for number, name in enumerate(OBJECTS)}
     regions |= {name: regions_of_source[name] & regions[worn] for worn, names in LIES_ON.items() for name in names}

@@ -59,6 +59,11 @@ def test_uv_arrays_as_smplx_files_have_them(tmp_path: Path) -> None:
 
 
 def test_a_texture_without_uvs_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "no.png").write_bytes(b"nothing")
+    (tmp_path / "empty").mkdir()
+    for path, says in (("no.png", "not a readable picture"), ("absent.png", "no such file"), ("empty", "no png")):
+        with pytest.raises(InputError, match=f"{path}.*{says}"):
+            read_textures([tmp_path / path])
     picture(tmp_path / "p.png", (1, 2, 3))
     with pytest.raises(InputError, match=r"texture 'p': .* no texture coordinates"):
         dress_in_textures(two_quads(), read_textures([tmp_path / "p.png"]))
@@ -105,14 +110,6 @@ def test_a_picture_that_is_not_there_is_a_warning(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"a\.obj: its picture 'C:.pictures.skin\.png'"):
         read = import_bodies([tmp_path / "a.obj"])
     assert np.allclose(read.face_colors, [1, 0, 0]) and not any(read.outfit_textures)
-
-
-def test_pictures_that_cannot_be_read(tmp_path: Path) -> None:
-    (tmp_path / "no.png").write_bytes(b"nothing")
-    (tmp_path / "empty").mkdir()
-    for path, says in (("no.png", "not a readable picture"), ("absent.png", "no such file"), ("empty", "no png")):
-        with pytest.raises(InputError, match=f"{path}.*{says}"):
-            read_textures([tmp_path / path])
 
 
 def test_scenes_with_textures_are_checked() -> None:

@@ -39,7 +39,6 @@ class FakeSource:
 def source(monkeypatch: pytest.MonkeyPatch) -> FakeSource:
     source = FakeSource()
     monkeypatch.setattr(module, "AnnySource", lambda: source)
-    monkeypatch.setattr(module, "MOTIONS", {name: lambda r, d=draw: d(r) for name, draw in MOTIONS.items()})
     monkeypatch.setattr(module, "pose_vertices", lambda rest, weights, skeleton, pose: rest)
     return source
 
@@ -55,16 +54,14 @@ def test_bodies_are_those_of_their_seed_and_number(source: FakeSource) -> None:
         assert all(low <= shape[key] <= high for key, (low, high) in SHAPES.items())
 
 
-def test_a_scene_can_be_drawn_on_the_spot(source: FakeSource) -> None:
+def test_a_scene_is_drawn_on_the_spot_or_called_so(
+    source: FakeSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert load_scene("anny:4:7:walk[1,3]").names == ("walking-0001", "walking-0003")
-    with pytest.raises(InputError, match="anny:many"):
-        load_scene("anny:many")
-
-
-def test_a_scene_may_be_called_as_the_drawn_bodies_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match="drawn by anny:COUNT"):
-        load_scene("anny")
+    for spec in ("anny", "anny:many"):
+        with pytest.raises(InputError, match="drawn by anny:COUNT"):
+            load_scene(spec)
     write_scene("anny", box_bodies())
     assert load_scene("anny").names == box_bodies().names
 

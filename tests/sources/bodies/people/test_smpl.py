@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.people.smpl import import_smpl, pose_smpl, read_smpl, rotations
+from cloak_core.sources.bodies.people.smpl import import_smpl, pose_smpl, read_smpl
 
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
 
@@ -81,11 +81,6 @@ def test_forward_by_the_book(tmp_path: Path, joints: int) -> None:
     vertices = pose_smpl(read_smpl(tmp_path / "m.npz"), poses, betas)
     for index in (0, 17, 39):
         assert np.abs(vertices[index] - plain_smpl(model, poses[index], betas[index])).max() < 1e-5
-
-
-def test_rotations_near_zero_and_half_a_turn() -> None:
-    vectors = np.array([[0, 0, 0], [1e-12, 0, 0], [0, np.pi, 0], [0, 0, -1e-5], [3, -2, 1]], float)
-    assert np.allclose(rotations(vectors), [rotation(vector) for vector in vectors], atol=1e-12)
 
 
 @pytest.mark.slow
