@@ -83,7 +83,7 @@ def grow_step(detectors: int = 1, squares: int | None = None) -> dict[str, float
     return {"seconds": step["step_ms"] / 1000, "floor_ms": step["floor_ms"]}
 
 
-def write_simulated(people: People, count: int, folder: Path, seed: int = 0) -> Path:
+def write_simulated(people: People, count: int, folder: Path) -> Path:
     """Write `count` people in COCO's format, `SHARD` a file, and the list of these files, which is returned.
 
     Each is one of `people`, scaled and recoloured, and has a photograph of her own.
@@ -93,7 +93,7 @@ def write_simulated(people: People, count: int, folder: Path, seed: int = 0) -> 
     for start in range(0, count, SHARD):
         images, annotations = [], []
         for number in range(start, min(start + SHARD, count)):
-            random = np.random.default_rng([seed, number])
+            random = np.random.default_rng(number)
             person = people.people[number % len(people)]
             rows = np.flatnonzero(person.mask.any(axis=1))
             scale = float(np.clip(random.uniform(0.7, 1.15), *np.array([LEAST, MOST]) / (rows[-1] + 1 - rows[0])))

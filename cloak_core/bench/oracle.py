@@ -141,22 +141,20 @@ def hits(screen: Screen, triangles: Tensor, grid: int = 1, front_only: bool = Fa
     return count
 
 
-def screen_of(
-    x: np.ndarray, y: np.ndarray, inverse_depth: np.ndarray, width: int, height: int, near: float = 1.0
-) -> Screen:
+def screen_of(x: np.ndarray, y: np.ndarray, inverse_depth: np.ndarray, width: int, height: int) -> Screen:
     """Make a one-view screen from snapped integer coordinates [V] directly, for cases made by hand."""
 
     def row(values: np.ndarray, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(dtype).reshape(1, -1)
 
-    z = near / row(inverse_depth, torch.float64)
+    z = 1 / row(inverse_depth, torch.float64)
     focal = torch.full((1, 1), float(height), dtype=torch.float64)
     snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)
     rays = (snapped_x / GRID - width / 2) / focal, (height / 2 - snapped_y / GRID) / focal
     view = torch.stack([rays[0] * z, rays[1] * z, z], 1)
     ends = [int(e) for t in (snapped_x, snapped_y) for e in (torch.aminmax(t) if t.numel() else (0, 0))]
     inverse_depth = row(inverse_depth, torch.float64)
-    near_plane = torch.full_like(focal, near)
+    near_plane = torch.ones_like(focal)
     return Screen(width, height, view, snapped_x, snapped_y, inverse_depth, None, tuple(ends), focal, near_plane)
 
 

@@ -27,12 +27,12 @@ Reals = Float64[np.ndarray, " N"]
 
 
 class TwinLight:
-    """Light on one pose seen by one camera."""
+    """Light on the first pose seen by one camera."""
 
-    def __init__(self, bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> None:
-        self._vertices = bodies.vertices[pose].astype(np.float64)
+    def __init__(self, bodies: Bodies, camera: Camera, light: Light) -> None:
+        self._vertices = bodies.vertices[0].astype(np.float64)
         self._triangles = bodies.triangles
-        self._normals = vertex_normals(bodies, pose)
+        self._normals = vertex_normals(bodies)
         self._camera = camera
         self._light = light
         pivot = camera.pivot or (self._vertices.min(0) + self._vertices.max(0)) / 2
@@ -129,10 +129,10 @@ class Reference:
     """Pixels of each face that are visible."""
 
 
-def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
+def reference(bodies: Bodies, camera: Camera, light: Light) -> Reference:
     """Sum coverage and light over the visible parts of finer pixels of one view. Takes seconds to minutes."""
     cache = ViewCache(bodies)
-    key = [(pose, camera)]
+    key = [(0, camera)]
     screen = cache.screen(key)
     flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, cache.cull(key, screen))
     # The same snapped corners on a finer screen, as far as its guard band reaches: near planes cut beyond the image.
@@ -141,7 +141,7 @@ def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Re
     width, height = camera.width * finer, camera.height * finer
     flat = replace(flat, x=flat.x * finer, y=flat.y * finer)
     parts = visible_areas(flat, Window(0, 0, width, height), width)
-    twin = TwinLight(bodies, camera, light, pose)
+    twin = TwinLight(bodies, camera, light)
     lit = [twin(part.triangle.numpy(), *((t / finer).numpy() for t in (part.x, part.y))) for part in parts]
     parts = Fragments.join(parts)
     column, row = parts.pixel % width // finer, parts.pixel // width // finer

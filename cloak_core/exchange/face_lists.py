@@ -55,20 +55,13 @@ def read_face_list(path: str | os.PathLike, bodies: Bodies | None = None) -> Fac
         index_of, topology = record.get("index_of", index_of), record.get("topology")
         if index_of not in ("polygon", "triangle"):
             raise InputError(f"{sidecar}: index_of is {index_of!r}, neither 'polygon' nor 'triangle'")
-    face_list = FaceList(ids, index_of, topology)
     if bodies is not None:
-        _check_face_list(face_list, bodies, path)
-    return face_list
-
-
-def _check_face_list(face_list: FaceList, bodies: Bodies, path: Path) -> None:
-    if face_list.topology not in (None, bodies.topology):
-        raise InputError(
-            f"{path}: made for topology {face_list.topology}, but scene '{bodies.name}' has {bodies.topology}"
-        )
-    count = bodies.face_count if face_list.index_of == "polygon" else bodies.triangle_count
-    if face_list.ids[-1] >= count:
-        raise InputError(f"{path}: {face_list.index_of} id {face_list.ids[-1]} is beyond the mesh's {count}")
+        if topology not in (None, bodies.topology):
+            raise InputError(f"{path}: made for topology {topology}, but scene '{bodies.name}' has {bodies.topology}")
+        count = bodies.face_count if index_of == "polygon" else bodies.triangle_count
+        if ids[-1] >= count:
+            raise InputError(f"{path}: {index_of} id {ids[-1]} is beyond the mesh's {count}")
+    return FaceList(ids, index_of, topology)
 
 
 def face_ids(face_list: FaceList, bodies: Bodies) -> np.ndarray:
@@ -78,8 +71,8 @@ def face_ids(face_list: FaceList, bodies: Bodies) -> np.ndarray:
     return np.unique(bodies.triangle_face[face_list.ids]).astype(np.int64)
 
 
-def write_face_list(path: str | os.PathLike, ids: np.ndarray, topology: str, index_of: str = "polygon") -> Path:
-    """Write a face list (one-dimensional int64, sorted, unique) and its sidecar NAME.json, each atomically."""
+def write_face_list(path: str | os.PathLike, ids: np.ndarray, topology: str) -> Path:
+    """Write a list of polygons (one-dimensional int64, sorted, unique) and its sidecar NAME.json, each atomically."""
     path = Path(path)
     ids = np.asarray(ids)
     if ids.ndim != 1 or ids.dtype.kind not in "iu":
@@ -91,7 +84,7 @@ def write_face_list(path: str | os.PathLike, ids: np.ndarray, topology: str, ind
         "format": "cloak face list",
         "version": FORMAT_VERSION,
         "topology": topology,
-        "index_of": index_of,
+        "index_of": "polygon",
         "count": len(ids),
     }
     write_json(path.with_suffix(".json"), record)

@@ -21,9 +21,12 @@ def sum_by_face(bodies: Bodies, values: np.ndarray) -> np.ndarray:
     return total
 
 
-def face_normals(bodies: Bodies, pose: int = 0) -> np.ndarray:
-    """Compute unit normals [F, 3], outwards where corners turn counter-clockwise; zero for a face without area."""
-    vectors, _ = area_vectors(bodies, pose)
+def face_normals(bodies: Bodies) -> np.ndarray:
+    """Compute unit normals [F, 3] in the first pose: outwards where corners turn counter-clockwise.
+
+    Zero for a face without area.
+    """
+    vectors, _ = area_vectors(bodies, 0)
     normal = sum_by_face(bodies, vectors)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,14 +13,6 @@ from cloak_core.core.evaluation.statistics import THRESHOLDS
 from cloak_core.studies.report.charts import Lines, Rows, column, detector_names, group, select
 from cloak_core.studies.report.plots import heat_map
 from cloak_core.studies.report.style import CYCLE, SERIES
-
-
-@runtime_checkable
-class Chart(Protocol):
-    """A figure of a table."""
-
-    def draw(self, rows: Rows, thresholds: Rows) -> Figure | None:
-        """Draw the table's rows, or their curves over thresholds; None where they have nothing to show."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,15 +69,15 @@ def distinct_labels(rows: Rows) -> list[str]:
     names = detector_names(rows)
     left = {"control", "seconds", "cpu_seconds", "area_share", "logo_faces", "reach"}
     keys = [key for key in rows[0] if key not in left and not key.startswith("at_")]
+
+    def written(key: str, value: object) -> str:
+        if isinstance(value, str):
+            return f"seen by {names[value]}" if key == "tested_on" else names.get(value, value)
+        return f"{100 * value:.1f} %" if key == "area_share" else f"{key.replace('_', ' ')} {value:g}"
+
     for more in ([], ["area_share"]):
         differing = [key for key in (*keys, *more) if len({str(row.get(key)) for row in rows}) > 1]
-        labels = [", ".join(_value(key, row[key], names) for key in differing) or SERIES[LOGO].label for row in rows]
+        labels = [", ".join(written(key, row[key]) for key in differing) or SERIES[LOGO].label for row in rows]
         if len(set(labels)) == len(labels):
             break
     return labels
-
-
-def _value(key: str, value: object, names: Mapping[str, str]) -> str:
-    if isinstance(value, str):
-        return f"seen by {names[value]}" if key == "tested_on" else names.get(value, value)
-    return f"{100 * value:.1f} %" if key == "area_share" else f"{key.replace('_', ' ')} {value:g}"

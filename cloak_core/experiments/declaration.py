@@ -12,7 +12,7 @@ from PIL import Image
 
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.pattern import Pattern
-from cloak_core.experiments.charts import Chart, Matrix, Thresholds
+from cloak_core.experiments.charts import Matrix, Thresholds
 from cloak_core.experiments.logos import FaceIds
 from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows
 from cloak_core.studies.store import RunStore
@@ -87,7 +87,7 @@ class Experiment:
     caption: str
     """What was done and how to read it."""
     cells: Callable[[RunStore], Cells] = lambda store: iter(())
-    figures: Mapping[str, Chart]
+    figures: Mapping[str, Bars | Lines | Rings | Matrix | Thresholds]
     """By file name without ending."""
     paper: Sequence[Mapping[str, object]] = ()
     pictures: Callable[[RunStore, Trainings], dict[str, Image.Image]] = lambda store, trainings: {}

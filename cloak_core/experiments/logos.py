@@ -37,8 +37,11 @@ def paper_logos(bodies: Bodies, folder: Path) -> dict[str, FaceIds]:
 def shapes(bodies: Bodies, folder: Path, quick: bool) -> dict[str, FaceIds]:
     """Make shapes on the chest at growing shares of the body's area, up to what the front of the trunk holds."""
     folder.mkdir(parents=True, exist_ok=True)
+    disc = Image.new("L", (256, 256), 255)
+    ImageDraw.Draw(disc).ellipse((1, 1, 254, 254), fill=0)
+    save_picture(folder / "disc.png", disc)
     makers: dict[str, Callable[..., FaceIds]] = {
-        "disc": partial(project_mask, bodies, draw_disc(folder / "disc.png")),
+        "disc": partial(project_mask, bodies, folder / "disc.png"),
         "smiley": partial(project_mask, bodies, draw_smiley(folder / "smiley.png")),
         "letter G": partial(project_text, bodies, "G"),
     }
@@ -71,8 +74,9 @@ def trimmed(bodies: Bodies, ids: FaceIds, fraction: float) -> FaceIds:
     return np.sort(ids[np.concatenate(kept)])
 
 
-def draw_smiley(path: Path, side: int = 512) -> Path:
+def draw_smiley(path: Path) -> Path:
     """Draw a smiley, black on white: ring, eyes and mouth."""
+    side = 512
     image = Image.new("L", (side, side), 255)
     draw = ImageDraw.Draw(image)
     unit = side / 16
@@ -81,13 +85,5 @@ def draw_smiley(path: Path, side: int = 512) -> Path:
     for x in (5.6, 10.4):
         draw.ellipse(((x - 1.2) * unit, 4.4 * unit, (x + 1.2) * unit, 7.2 * unit), fill=0)
     draw.arc((4 * unit, 4.2 * unit, 12 * unit, 12.2 * unit), 20, 160, fill=0, width=round(1.7 * unit))
-    save_picture(path, image)
-    return path
-
-
-def draw_disc(path: Path, side: int = 256) -> Path:
-    """Draw a disc, black on white."""
-    image = Image.new("L", (side, side), 255)
-    ImageDraw.Draw(image).ellipse((1, 1, side - 2, side - 2), fill=0)
     save_picture(path, image)
     return path

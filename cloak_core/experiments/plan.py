@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from cloak_core.experiments.declaration import Cell, Experiment, test_angles
@@ -53,15 +53,13 @@ def chosen(experiment: Experiment, store: RunStore, only: Sequence[str]) -> list
 
 def paper_rows(experiment: Experiment, rows: Rows) -> Rows:
     """Select the paper's rows that any of these stand beside: they agree in all that both name but the detector."""
-    return [dict(told) for told in experiment.paper if any(_agree(told, row) for row in rows)]
-
-
-def _agree(told: Mapping[str, object], row: Mapping[str, object]) -> bool:
-    return all(
-        row.get(key, value) in (value, "all")
-        for key, value in told.items()
-        if key != "detector" and isinstance(value, str)
-    )
+    labels = [
+        {key: value for key, value in told.items() if key != "detector" and isinstance(value, str)}
+        for told in experiment.paper
+    ]
+    agrees = lambda label, row: all(row.get(key, value) in (value, "all") for key, value in label.items())
+    beside = [any(agrees(label, row) for row in rows) for label in labels]
+    return [dict(told) for told, stands in zip(experiment.paper, beside, strict=True) if stands]
 
 
 def _cells(experiment: Experiment, store: RunStore) -> list[Cell]:

@@ -61,11 +61,10 @@ def lay_out(bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], own_pattern:
     used, index = np.unique(bodies.triangles[chosen], return_inverse=True)
     points = bodies.vertices[0][used]
     areas = np.linalg.norm(area_vectors(bodies, 0)[0][chosen], axis=1)
-    if own_pattern:
-        corners, chart = pattern_pieces(bodies, chosen, areas)
-    else:
-        corners, chart = unwrap(points, index.reshape(-1, 3))
-    stretch = stretches(points[index.reshape(-1, 3)].astype(np.float64), corners)
+    index = index.reshape(-1, 3)
+    flat, pieces, chart = pattern_pieces(bodies, chosen, areas) if own_pattern else unwrap(points, index)
+    corners = pack(flat, pieces, chart)
+    stretch = stretches(points[index].astype(np.float64), corners)
     order = np.argsort(stretch)
     below = np.cumsum(areas[order]) / areas.sum()
     size = corners.reshape(-1, 2).max(axis=0) + GAP / 2
@@ -94,26 +93,37 @@ def new_atlas() -> xatlas.Atlas:
     return atlas
 
 
-def unwrap(
-    points: Float[np.ndarray, "v 3"], triangles: Integer[np.ndarray, "t 3"]
-) -> tuple[Float[np.ndarray, "t 3 2"], Integer[np.ndarray, " t"]]:
-    """Unwrap triangles: flat corners in metres, and the chart of every triangle."""
+def packed(atlas: xatlas.Atlas) -> tuple[Float[np.ndarray, "v 2"], Integer[np.ndarray, "t 3"]]:
+    """Cut and pack an atlas: flat vertices in metres, and triangles in the order they were given in."""
     import xatlas
 
+    options = xatlas.PackOptions()
+    options.texels_per_unit = PACKING_DPI / 0.0254
+    options.padding = int(np.ceil(GAP * options.texels_per_unit))
+    # xatlas turns charts by swapping their axes, which mirrors them.
+    options.rotate_charts = options.rotate_charts_to_axis = False
+    atlas.generate(xatlas.ChartOptions(), options)
+    _, index, uv = atlas[0]
+    return uv.astype(np.float64) * [atlas.width, atlas.height] / atlas.texels_per_unit, index.astype(np.int64)
+
+
+Charts = tuple[Float[np.ndarray, "flat 2"], Integer[np.ndarray, "t 3"], Integer[np.ndarray, " t"]]
+"""Flat vertices in metres, wherever they lie; triangles; and the chart of every triangle."""
+
+
+def unwrap(points: Float[np.ndarray, "v 3"], triangles: Integer[np.ndarray, "t 3"]) -> Charts:
+    """Cut triangles into charts and lay these flat."""
     atlas = new_atlas()
     atlas.add_mesh(points.astype(np.float32), triangles.astype(np.uint32))
-    atlas.generate(xatlas.ChartOptions(), pack_options())
-    flat, index = sheet(atlas)
+    flat, index = packed(atlas)
     chart = np.zeros(len(index), np.int64)
     for number in range(atlas.get_mesh_chart_count(0)):
         chart[atlas.get_mesh_chart(0, number).faces] = number
-    return pack(flat, index, chart), chart
+    return flat, index, chart
 
 
-def pattern_pieces(
-    bodies: Bodies, chosen: Integer[np.ndarray, " t"], areas: Float[np.ndarray, " t"]
-) -> tuple[Float[np.ndarray, "t 3 2"], Integer[np.ndarray, " t"]]:
-    """Take the pieces of the mesh's own UV map: flat corners in metres, the piece of every triangle. InputError."""
+def pattern_pieces(bodies: Bodies, chosen: Integer[np.ndarray, " t"], areas: Float[np.ndarray, " t"]) -> Charts:
+    """Take the pieces of the mesh's own UV map. InputError: there is none, or a piece has no area."""
     if bodies.uv is None or bodies.triangle_uv is None:
         raise InputError(f"{bodies.name}: has no UV map to take the pieces of")
     # Two triangles belong together where they share an edge both on the mesh and on the map.
@@ -135,30 +145,37 @@ def pattern_pieces(
     if (on_map <= 1e-12).any():
         raise InputError(f"{bodies.name}: a piece of its UV map has no area")
     scale = np.sqrt(np.bincount(chart, weights=areas) / on_map)
-    of_vertex = np.zeros(len(flat), np.int64)
-    of_vertex[index] = chart[:, None]
-    return pack(flat * scale[of_vertex][:, None], index, chart), chart
+    return flat * scale[chart_of_vertex(len(flat), index, chart)][:, None], index, chart
 
 
 def pack(
     flat: Float[np.ndarray, "v 2"], index: Integer[np.ndarray, "t 3"], chart: Integer[np.ndarray, " t"]
 ) -> Float[np.ndarray, "t 3 2"]:
-    """Pack charts (metres, wherever they lie) side by side: none mirrored, none wider than high."""
-    import xatlas
-
+    """Pack charts side by side, none mirrored, none wider than high: flat corners of the triangles, metres."""
+    of_vertex = chart_of_vertex(len(flat), index, chart)
     mirrored = np.bincount(chart, weights=signed_areas(flat[index])) < 0
-    of_vertex = np.zeros(len(flat), np.int64)
-    of_vertex[index] = chart[:, None]
     flat = np.where(mirrored[of_vertex][:, None], flat * [-1, 1], flat)
-    stand_up(flat, of_vertex)
-    # Turned, charts lie on each other; so do pieces that share their place on a map.
+    # Upright paper takes upright charts in fewer pieces.
+    width, height = (-lows(-flat, of_vertex) - lows(flat, of_vertex)).T
+    flat = np.where((width > height)[of_vertex][:, None], flat[:, ::-1] * [-1, 1], flat)
+    # Turned, charts lie on each other; so do pieces that share their place on a map: put them in a row.
+    low, high = lows(flat, of_vertex), -lows(-flat, of_vertex)
+    start = np.concatenate([[0.0], np.cumsum(high[:-1, 0] - low[:-1, 0] + GAP)])
+    in_a_row = flat - low[of_vertex] + np.stack([start, np.zeros(len(start))], axis=1)[of_vertex]
     atlas = new_atlas()
-    atlas.add_uv_mesh(apart(flat, of_vertex).astype(np.float32), index.astype(np.uint32))
-    atlas.generate(xatlas.ChartOptions(), pack_options())
-    packed, again = sheet(atlas)
+    atlas.add_uv_mesh(in_a_row.astype(np.float32), index.astype(np.uint32))
+    placed, again = packed(atlas)
     # xatlas rounds sizes to its pixels: it says where charts go, and they keep their own size.
-    lowest = [lows(points.reshape(-1, 2), np.repeat(chart, 3)) for points in (flat[index], packed[again])]
+    lowest = [lows(points.reshape(-1, 2), np.repeat(chart, 3)) for points in (flat[index], placed[again])]
     return flat[index] + (lowest[1] - lowest[0])[chart][:, None] + GAP / 2
+
+
+def chart_of_vertex(
+    count: int, index: Integer[np.ndarray, "t 3"], chart: Integer[np.ndarray, " t"]
+) -> Integer[np.ndarray, " v"]:
+    of_vertex = np.zeros(count, np.int64)
+    of_vertex[index] = chart[:, None]
+    return of_vertex
 
 
 def lows(points: Float[np.ndarray, "n 2"], chart: Integer[np.ndarray, " n"]) -> Float[np.ndarray, "charts 2"]:
@@ -171,39 +188,6 @@ def lows(points: Float[np.ndarray, "n 2"], chart: Integer[np.ndarray, " n"]) -> 
 def welded(points: Float[np.ndarray, "n d"], within: float) -> Integer[np.ndarray, " n"]:
     """Number the points, the same for those at one place: files part vertices where other things differ."""
     return np.unique(np.round(points / within).astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
-
-
-def apart(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> Float[np.ndarray, "v 2"]:
-    """Put charts in a row, without touching."""
-    low, high = lows(flat, chart), -lows(-flat, chart)
-    start = np.concatenate([[0.0], np.cumsum(high[:-1, 0] - low[:-1, 0] + GAP)])
-    return flat - low[chart] + np.stack([start, np.zeros(len(start))], axis=1)[chart]
-
-
-def stand_up(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> None:
-    """Turn charts that are wider than high by a quarter, in place: upright paper takes them in fewer pieces."""
-    for number in range(int(chart.max()) + 1):
-        corners = flat[chart == number]
-        width, height = np.ptp(corners, axis=0)
-        if width > height:
-            flat[chart == number] = corners[:, ::-1] * [-1, 1]
-
-
-def pack_options() -> xatlas.PackOptions:
-    import xatlas
-
-    options = xatlas.PackOptions()
-    options.texels_per_unit = PACKING_DPI / 0.0254
-    options.padding = int(np.ceil(GAP * options.texels_per_unit))
-    # xatlas turns charts by swapping their axes, which mirrors them.
-    options.rotate_charts = options.rotate_charts_to_axis = False
-    return options
-
-
-def sheet(atlas: xatlas.Atlas) -> tuple[np.ndarray, np.ndarray]:
-    """Read flat vertices in metres [N, 2], and triangles [T, 3] in the order they were given in."""
-    _, index, uv = atlas[0]
-    return uv.astype(np.float64) * [atlas.width, atlas.height] / atlas.texels_per_unit, index.astype(np.int64)
 
 
 def signed_areas(corners: Float[np.ndarray, "t 3 2"]) -> Float[np.ndarray, " t"]:

@@ -18,6 +18,7 @@ from cloak_core.products.tiling import FOOT, LINE, MARGIN, OVERLAP, PAGES, Tile,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patches import Patch
+    from matplotlib.text import Text
 
 
 POINTS = 72 / 0.0254
@@ -55,7 +56,7 @@ def write_sheets(
         for number, name in enumerate(chart_names(layout, bodies))
     ]
     all_tiles = tiles(layout, page, allowance)
-    all_pages = list(pages(all_tiles, page))
+    all_pages = pages(all_tiles, page)
     size = PAGES[page]
     count = len(all_pages) + 1
     with PdfPages(path, metadata={"Creator": "cloak", "Producer": None, "CreationDate": None}) as pdf:
@@ -100,10 +101,14 @@ def draw_tile(
     draw_colors(axes, layout, texture, tile, shift)
     draw_lines(axes, chart.border + shift, frame, "black", 0.4)
     draw_marks(axes, chart.marks, shift, frame, allowance or TICK)
-    label = f"{chart.name}, part {tile.part} of {tile.parts}"
-    middle = (np.array(at) + np.subtract(tile.high, tile.low) / 2).tolist()
-    box = {"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 1}
-    axes.text(*middle, label if tile.part else chart.name, fontsize=6, ha="center", va="center", bbox=box, zorder=4)
+    middle = np.array(at) + np.subtract(tile.high, tile.low) / 2
+    write(axes, middle, chart.name + f", part {tile.part} of {tile.parts}" * bool(tile.part), 6)
+
+
+def write(axes: Axes, at: Float[np.ndarray, " 2"], words: str, size: float, **more: object) -> Text:
+    """Write a few words on white that lets the picture shine through."""
+    box = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.5}
+    return axes.text(*at.tolist(), words, fontsize=size, ha="center", va="center", bbox=box, zorder=4, **more)
 
 
 def draw_colors(axes: Axes, layout: Layout, texture: Texture, tile: Tile, shift: Float[np.ndarray, " 2"]) -> None:
@@ -140,9 +145,8 @@ def draw_marks(axes: Axes, marks: list[Mark], shift: Float[np.ndarray, " 2"], fr
     points = np.stack([mark.point for mark in marks]) + shift
     ends = points + length * np.stack([mark.outwards for mark in marks])
     draw_lines(axes, np.stack([points, ends], axis=1), frame, "black", 0.6)
-    for mark, (x, y) in zip(marks, points - 0.003 * np.stack([mark.outwards for mark in marks]), strict=True):
-        box = {"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 0.3}
-        text = axes.text(x, y, mark.name, fontsize=4, ha="center", va="center", bbox=box, zorder=4)
+    for mark, point in zip(marks, points, strict=True):
+        text = write(axes, point - 0.003 * mark.outwards, mark.name, 4)
         text.set_clip_path(frame)
         text.set_clip_on(True)
 
@@ -157,11 +161,7 @@ def draw_glue_lines(axes: Axes, tile: Tile, others: list[Tile], at: tuple[float,
                 if tile.low[axis] + 1e-6 < edge < tile.high[axis] - 1e-6:
                     ends = np.array([[edge, span[0]], [edge, span[1]]])[:, [axis, 1 - axis]] + shift
                     axes.plot(*ends.T, color="0.35", lw=0.4, dashes=(6, 4), zorder=3)
-                    box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.3}
-                    words = f"part {other.part}"
-                    turned = 90 * (axis == 0)
-                    axes.text(*ends.mean(axis=0), words, fontsize=4, rotation=turned, ha="center", va="center",
-                              bbox=box, zorder=4)  # fmt: skip
+                    write(axes, ends.mean(axis=0), f"part {other.part}", 4, rotation=90 * (axis == 0))
 
 
 def draw_foot(axes: Axes, text: str, bar: bool = True) -> None:
@@ -201,14 +201,13 @@ def draw_overview(
     picture = texture.image[: texture.chart_rows]
     step = max(1, picture.shape[0] // 1500)
     axes.imshow(picture[::step, ::step], extent=(low[0], x, low[1], y), interpolation="none", aspect="auto", zorder=1)
-    box = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
     for number, items in enumerate(placed, start=2):
         for tile, _, _ in items:
             start, size = low + np.array(tile.low) * scale, np.subtract(tile.high, tile.low) * scale
             axes.add_patch(Rectangle(tuple(start), *size, fill=False, edgecolor="black", linewidth=0.5, zorder=2))
             words = f"{names[tile.chart]}\n" * (tile.part < 2) + f"page {number}"
             words += f", part {tile.part}" * bool(tile.part)
-            axes.text(*(start + size / 2), words, fontsize=5, ha="center", va="center", bbox=box, zorder=3)
+            write(axes, start + size / 2, words, 5)
     count = sum(map(len, placed))
     facts = [
         f"{layout.chart_count} pieces in {count} parts, on {len(placed)} more pages; here 1 : {1 / scale:.1f}.",

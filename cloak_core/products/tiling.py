@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,25 +119,25 @@ def _needed(
     return [cut[index] for index in sorted(kept)]
 
 
-def pages(all_tiles: list[Tile], page: str) -> Iterator[list[tuple[Tile, float, float]]]:
-    """Place tiles on pages, the tallest first, each on the first page with room for it.
+def pages(all_tiles: list[Tile], page: str) -> list[list[tuple[Tile, float, float]]]:
+    """Place tiles on pages in rows, the tallest first, each on the first page with room for it (shelf packing).
 
-    Yields (tile, x, y of its lower left corner in metres from the page's). Parts of a chart keep their numbers.
+    Lists, for each page, (tile, x, y of its lower left corner in metres from the page's). Parts of a chart keep their
+    numbers.
     """
-    width, height = PAGES[page]
     filled: list[Page] = []
     for tile in sorted(all_tiles, key=lambda t: t.low[1] - t.high[1]):
         if not any(sheet.takes(tile) for sheet in filled):
-            filled.append(Page(width, MARGIN + FOOT, height - MARGIN))
+            filled.append(Page(page))
             filled[-1].takes(tile)
-    yield from (sheet.tiles for sheet in filled)
+    return [sheet.tiles for sheet in filled]
 
 
 class Page:
-    """Rows of tiles, from the top down (shelf packing, first fit)."""
+    """Rows of tiles, from the top down."""
 
-    def __init__(self, width: float, bottom: float, top: float) -> None:
-        self.width, self.bottom, self.free = width, bottom, top
+    def __init__(self, page: str) -> None:
+        self.right, self.free = PAGES[page][0] - MARGIN, PAGES[page][1] - MARGIN
         self.rows: list[list[float]] = []
         """Of each: where it is full up to, its top and its height."""
         self.tiles: list[tuple[Tile, float, float]] = []
@@ -146,17 +145,17 @@ class Page:
     def takes(self, tile: Tile) -> bool:
         """Place a tile, if there is room for it."""
         wide, high = tile.high[0] - tile.low[0], tile.high[1] - tile.low[1]
-        for row in self.rows:
-            if row[0] + wide <= self.width - MARGIN + 1e-9 and high <= row[2] + 1e-9:
-                self.tiles.append((tile, row[0], row[1] - high))
-                row[0] += wide + BETWEEN
-                return True
+        fits = [row for row in self.rows if row[0] + wide <= self.right + 1e-9 and high <= row[2] + 1e-9]
         top = self.free - BETWEEN * bool(self.rows)
-        if top - high < self.bottom - 1e-9:
-            return False
-        self.rows.append([MARGIN + wide + BETWEEN, top, high])
-        self.free = top - high
-        self.tiles.append((tile, MARGIN, top - high))
+        if not fits:
+            if top - high < MARGIN + FOOT - 1e-9:
+                return False
+            fits = [[MARGIN, top, high]]
+            self.rows += fits
+            self.free = top - high
+        row = fits[0]
+        self.tiles.append((tile, row[0], row[1] - high))
+        row[0] += wide + BETWEEN
         return True
 
 

@@ -110,19 +110,19 @@ def test_figures_come_from_the_numbers_alone(
     drawn_again("transfer", tmp_path)
     # By the command, too, which opens no detector for it. What an early version wrote is left as it is.
     monkeypatch.setattr("cloak_core.detectors.loading.load_detector", lambda *_, **__: pytest.fail("opened"))
-    (tmp_path / "cost").mkdir()
+    (tmp_path / "shape").mkdir()
     record = json.loads((tmp_path / "transfer/numbers.json").read_text())
     earlier = json.dumps({key: value for key, value in record.items() if key not in ("format", "facts", "pictures")})
-    (tmp_path / "cost/numbers.json").write_text(earlier.replace('"transfer-', '"cost-'))
+    (tmp_path / "shape/numbers.json").write_text(earlier.replace('"transfer-', '"shape-'))
     for file in record["figures"]:
-        (tmp_path / "cost" / file).write_bytes((tmp_path / "transfer" / file).read_bytes())
+        (tmp_path / "shape" / file).write_bytes((tmp_path / "transfer" / file).read_bytes())
     with pytest.raises(SystemExit, match="0"):
         main(["reproduce", "all", "--redraw", "--out", str(tmp_path), "--json"])
     result = json.loads(capsys.readouterr().out)
     assert result["experiments"].keys() == {"transfer"}
-    assert result["skipped"].keys() == {"cost"} and (tmp_path / "cost/numbers.json").read_text() == earlier
+    assert result["skipped"].keys() == {"shape"} and (tmp_path / "shape/numbers.json").read_text() == earlier
     with pytest.raises(SystemExit, match="2"):
-        main(["reproduce", "cost", "--redraw", "--out", str(tmp_path)])
+        main(["reproduce", "shape", "--redraw", "--out", str(tmp_path)])
     assert "not a cloak experiment" in capsys.readouterr().err
 
 
@@ -229,33 +229,3 @@ def test_a_masked_gradient_shows_where_less_does_more() -> None:
     assert marks(attacked("adaptive", 0.12, 100), longest, attacked("random search", 0.6)) == [False, False, True]
     assert marks(attacked("adaptive", 0.6, 100), longest) == [True, False]
     assert marks(longest, attacked("transferred", 0.29)) == [False, False]  # within the interval
-
-
-def test_several_hardened_ones_are_told_apart_and_their_trade_is_drawn() -> None:
-    specs = ["builtin", "builtin:/a/weak/hardened.weights", "builtin:/a/strong/hardened.weights"]
-    rows = [
-        attacked("adaptive", success, logo=logo) | {"detector": spec, "trained_on": spec, "clean_recall": recall}
-        for spec, success, recall in zip(specs, (0.9, 0.4, 0.1), (0.99, 0.98, 0.9), strict=True)
-        for logo in ("chest + thighs", "shirt + trousers")[: 1 if spec == "builtin" else 2]
-    ]
-    shorter = attacked("adaptive", 0.3, 100) | {"clean_recall": 0.99}
-    figure = experiments()["hardened"].figures["trade"].draw([*rows, shorter], [])
-    assert [text.get_text() for text in figure.legends[0].texts] == [
-        "builtin",
-        "builtin hardened (weak)",
-        "builtin hardened (strong)",
-    ]
-    points = [[(bar.lines[0].get_xdata()[0], bar.lines[0].get_ydata()[0]) for bar in a.containers] for a in figure.axes]
-    assert points == [[(99.0, 0.9), (98.0, 0.4), (90.0, 0.1)], [(98.0, 0.4), (90.0, 0.1)]]
-
-
-def test_the_hardened_figure_has_the_curve_and_the_search() -> None:
-    rows = [attacked("adaptive", 0.25), attacked("adaptive", 0.12, 100), attacked("random search", 0.05)]
-    figure = experiments()["hardened"].figures["steps"].draw(rows, [])
-    assert [list(line.get_xdata()) for line in figure.axes[0].get_lines()] == [[100, 400], [400]]
-
-
-def test_a_panel_of_defences_has_a_line_for_each() -> None:
-    rows = [attacked("naive", 0.9) | {"defence": "none"}, attacked("naive", 0.3) | {"defence": "jpeg=75"}]
-    figure = experiments()["defences"].figures["defences"].draw(rows, [])
-    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["none", "jpeg=75"]

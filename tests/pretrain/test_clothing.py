@@ -2,12 +2,10 @@ import numpy as np
 import pytest
 
 from cloak_core.sources.bodies.people.clothed import clothed_bodies
-from cloak_core.sources.bodies.people.skeleton import Leg, Pose
-from tools.pretrain.bake_clothed import weights_by_bone
-from tools.pretrain.clothing.draping import _closed, outside, part_way, poses_of
+from cloak_core.sources.bodies.people.skeleton import Pose
+from tools.pretrain.clothing.draping import _closed, outside
 from tools.pretrain.clothing.gaits import CYCLES
-from tools.pretrain.clothing.garments import Garment, rims
-from tools.pretrain.clothing.tables import CLIPS, PEOPLE
+from tools.pretrain.clothing.tables import CLIPS
 
 GRID = np.array([[4 * i + j, 4 * i + 4 + j, 4 * i + 5 + j, 4 * i + 1 + j] for i in range(3) for j in range(3)])
 """Quads of a square sheet of 4 x 4 vertices."""
@@ -23,24 +21,6 @@ def test_a_cycle_ends_where_it_begins_and_never_jumps(motion: str) -> None:
     poses = np.stack([angles(CYCLES[motion](phase)) for phase in np.linspace(0, 1, 97)])
     assert np.allclose(poses[0], poses[-1])
     assert np.abs(np.diff(poses, axis=0)).max() < 10 and np.ptp(poses, axis=0).max() > 5
-
-
-def test_legs_of_a_gait_are_half_a_cycle_apart() -> None:
-    for motion in ("walking", "running"):
-        now, later = CYCLES[motion](0.2), CYCLES[motion](0.7)
-        assert np.allclose(list(vars(now.left_leg).values()), list(vars(later.right_leg).values()))
-
-
-def test_the_solver_walks_into_the_cycle_without_a_jump() -> None:
-    for clip in CLIPS:
-        poses, cycle = poses_of(clip)
-        assert cycle % clip.frames == 0 and len(poses) > 1.5 * cycle
-        steps = np.abs(np.diff(np.stack([angles(pose) for pose in poses]), axis=0)).max(1)
-        assert steps.max() < 45, clip.name
-    assert {clip.person for clip in CLIPS} == set(PEOPLE)
-    assert len({clip.wrinkles for clip in CLIPS}) == len(CLIPS)
-    half = part_way(Pose(), Pose(left_leg=Leg(hip=30), lean=4), 0.5)
-    assert half.left_leg.hip == 15 and half.lean == 2 and half.right_leg == Leg()
 
 
 def test_the_stored_poses_are_those_of_the_tables() -> None:
@@ -64,19 +44,3 @@ def test_cloth_is_pushed_out_of_what_is_beneath_it_and_no_farther() -> None:
     pushed = outside(cloth[None], flat[None], GRID)[0]
     assert np.allclose(np.delete(pushed[:, 2], 5), 0.004) and pushed[5, 2] == 0.03
     assert np.array_equal(pushed[:, :2], cloth[:, :2])
-
-
-def test_rims_are_the_openings() -> None:
-    sheet = Garment("sheet", np.arange(9), np.arange(16), GRID, np.zeros(16), np.zeros(16))
-    rim, along = rims(sheet)
-    assert np.array_equal(np.flatnonzero(~rim), [5, 6, 9, 10])
-    assert np.allclose(along.sum(1).A1, rim)
-    assert np.allclose((along @ np.arange(16.0))[1], 1.0)
-
-
-def test_weights_come_back_from_their_lists() -> None:
-    weights = np.random.default_rng(0).dirichlet([0.2] * 5, 30)
-    stored, back = weights_by_bone(weights), np.zeros((30, 5))
-    bone = np.repeat(np.arange(5), stored["weight_count"])
-    back[stored["weight_vertex"], bone] = stored["weight"] / 65535
-    assert np.abs(back - weights).max() < 1e-5

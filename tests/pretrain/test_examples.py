@@ -6,7 +6,7 @@ import torch
 
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from tools.pretrain.examples import Example, ExampleMaker, augment
+from tools.pretrain.examples import ExampleMaker
 from tools.pretrain.outfits import Wardrobe
 from tools.pretrain.people import FRAME, render_people
 from tools.pretrain.scenery import Scenery
@@ -70,30 +70,3 @@ def test_the_hidden_are_ignored(maker):
     ignored = torch.stack([e.ignored for e in examples])
     assert present.any() and ignored.any() and not (present & ignored).any()
     assert (~present & ~ignored).any()
-
-
-def test_outfits_are_colours_and_vary(bodies):
-    wardrobe, rng = Wardrobe(bodies), np.random.default_rng(4)
-    outfits = np.stack([wardrobe.draw(rng) for _ in range(80)])
-    assert outfits.shape == (80, bodies.face_count, 3) and outfits.dtype == np.float32
-    assert outfits.min() >= 0 and outfits.max() <= 1
-    assert outfits.std(0).mean() > 0.15, "outfits differ from each other"
-    assert np.array_equal(Wardrobe(bodies).draw(np.random.default_rng(9)), wardrobe.draw(np.random.default_rng(9)))
-
-
-def test_places_are_crops_of_one_size_none_like_another():
-    scenery = Scenery(load_backgrounds("procedural:train:4"))
-    rng = np.random.default_rng(6)
-    crops = np.stack([scenery.draw(rng, 48) for _ in range(30)])
-    assert crops.shape == (30, 48, 48, 3) and crops.dtype == np.uint8
-    assert len({c.tobytes() for c in crops}) == 30
-
-
-def test_augmented_images_stay_images():
-    images = augment(np.random.default_rng(7), torch.rand(16, 3, 32, 32))
-    assert images.shape == (16, 3, 32, 32) and images.min() >= 0 and images.max() <= 1
-
-
-def test_example_rows_beyond_the_people_are_empty(maker):
-    example: Example = maker.example(np.random.default_rng(8), 1)
-    assert not example.present[1:].any() and not example.ignored[1:].any() and not example.boxes[1:].any()

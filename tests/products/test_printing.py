@@ -8,7 +8,6 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.commands.printing import told
 from cloak_core.core.cameras import Camera
 from cloak_core.core.geometry import face_areas
 from cloak_core.core.logo import Cover, select_region
@@ -181,22 +180,6 @@ def test_print_folder(tmp_path: Path, body: Bodies, noise: FacePattern) -> None:
     assert obj.uv is not None
 
 
-def test_large_charts_are_cut_into_overlapping_windows_that_fit(layout: Layout) -> None:
-    for page, (width, height) in PAGES.items():
-        found = tiles(layout, page)
-        for chart in range(layout.chart_count):
-            mine = [tile for tile in found if tile.chart == chart]
-            corners = layout.corners[layout.chart == chart].reshape(-1, 2)
-            covered = [((corners >= tile.low) & (corners <= tile.high)).all(axis=1) for tile in mine]
-            assert np.logical_or.reduce(covered).all()
-        placed = [item for sheet in pages(found, page) for item in sheet]
-        assert len(placed) == len(found)
-        for tile, x, y in placed:
-            assert x >= 0.0099 and y >= 0.0299
-            assert x + tile.high[0] - tile.low[0] <= width - 0.0099
-            assert y + tile.high[1] - tile.low[1] <= height - 0.0099
-
-
 def test_what_a_printer_can_mix() -> None:
     inks, beyond = nearest_printable(OVERPRINTS / 255)
     assert not beyond.any() and np.array_equal(inks, OVERPRINTS / 255)
@@ -206,17 +189,6 @@ def test_what_a_printer_can_mix() -> None:
     assert not nearest_printable(near)[1].any()
     grey = np.repeat(np.linspace(0.2, 1, 9)[:, None], 3, axis=1)
     assert not nearest_printable(grey)[1].any()
-
-
-@pytest.mark.slow
-def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodies) -> None:
-    ids = select_region(body, "chest")[:4]
-    green = faces_in(body, ids, np.tile([0, 1, 0], (4, 1)))
-    report = print_pattern(body, green, tmp_path / "p", dpi=50, project=True)
-    assert report["unprintable_colors"] == 4 and report["projected"]
-    glb = import_bodies([tmp_path / "p" / "body.glb"])
-    painted = glb.face_colors[0][np.isin(body.triangle_face, ids)]
-    assert not nearest_printable(painted)[1].any()
 
 
 @pytest.mark.parametrize(
@@ -282,6 +254,10 @@ def test_no_page_is_blank_and_all_cloth_is_shown(body: Bodies, page: str) -> Non
         assert len(mine) == 1 or min(own) > 0
         assert {tile.part for tile in mine} == ({0} if len(mine) == 1 else set(range(1, len(mine) + 1)))
     placed = list(pages(found, page))
+    width, height = PAGES[page]
+    for tile, x, y in (item for sheet in placed for item in sheet):
+        assert x >= 0.0099 and y >= 0.0299
+        assert x + tile.high[0] - tile.low[0] <= width - 0.0099 and y + tile.high[1] - tile.low[1] <= height - 0.0099
     used = [sum(np.prod(np.subtract(t.high, t.low)) for t, _, _ in items) for items in placed]
     assert min(used[:-1]) > 0.15 * np.prod(PAGES[page])
     assert sum(map(len, placed)) == len(found)
@@ -290,25 +266,6 @@ def test_no_page_is_blank_and_all_cloth_is_shown(body: Bodies, page: str) -> Non
             for other, u, v in items[:k]:
                 wide, high = np.subtract(one.high, one.low), np.subtract(other.high, other.low)
                 assert x >= u + high[0] or u >= x + wide[0] or y >= v + high[1] or v >= y + wide[1]
-
-
-def test_a_print_is_told_in_sentences() -> None:
-    report = {
-        "charts": 17,
-        "sheet_m": [1.2, 0.9],
-        "pages": 62,
-        "page": "A4",
-        "stretch_mean": 1.0402,
-        "stretch_99": 1.3821,
-    }
-    report |= {"marks": 80, "pose": "standing", "unprintable_colors": 2266, "faces": 10262, "projected": False}
-    said = "\n".join(told(report))
-    assert (
-        "4.0% off in the mean" in said and "38% off on 99 % of the cloth" in said and "the first is an overview" in said
-    )
-    assert "2,266 of 10,262 colours cannot be mixed" in said and "--project replaces them" in said
-    assert "were replaced by the nearest" in "\n".join(told(report | {"projected": True}))
-    assert "colours" not in "\n".join(told(report | {"unprintable_colors": 0}))
 
 
 @pytest.mark.slow

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from PIL import Image
+import torch
+from PIL import Image, ImageDraw, ImageOps
 
 from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.logo import shirt_trousers
 from cloak_core.experiments.declaration import Cell, Cells, Experiment, Lines, RunStore, Trainings
-from cloak_core.experiments.sheets import Picture, draw_sheet, trial_picture
+from cloak_core.studies.report.pictures import font, reported, to_pil
 
 FREE = 100.0
 """Mean CIEDE2000 that no colours have from each other: no bound."""
 WITHIN = (0.0, 5.0, 10.0, 20.0, 40.0, FREE)
 CIRCLE = "0:315:45"
 """Azimuths of training and test, degrees."""
+LINE = 18
+"""Pixels below a picture, for what is reported on it."""
 COLUMNS = ("operating_point", "success_own", "own_low", "own_high", "clothing", "clothing_own", "seeds")
 
 
@@ -36,17 +39,31 @@ def cells(store: RunStore) -> Cells:
             )
 
 
+@torch.no_grad()
 def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
-    """Draw the same trial in each cloak of the first repetition, a row for each attack."""
+    """Draw the same trial in each cloak of the first repetition, a row for each attack, with what is reported."""
     detector = store.split.detectors[store.specs[0]]
-    settings = store.evaluate_settings()
-    rows: dict[str, list[Picture]] = {}
+    rows: dict[str, list[Image.Image]] = {}
     for cell, (trained, *_) in trainings:
-        images, _ = store.shown(trained.pattern, cell.angles, settings)
-        shown = trial_picture(images, trained.pattern, 0, detector, THRESHOLD)
+        images, _ = store.shown(trained.pattern, cell.angles, store.evaluate_settings())
+        image = images.render([0], trained.pattern)
+        report = reported(image, {"": detector}, THRESHOLD)
+        boxes, score = report["boxes"][""], report["scores"][""]
+        picture = to_pil(image[0])
+        for *box, _ in boxes:
+            ImageDraw.Draw(picture).rectangle(box, outline="#e0341c", width=2)
         within = f"{cell.label['within']:g}" if cell.label["within"] < FREE else "free"
-        rows.setdefault(cell.label["attack"], []).append(shown._replace(text=f"{within}: {shown.text}"))
-    return {"strip": draw_sheet(rows)}
+        found = f"person {score:.2f}" if boxes else f"no person (best {score:.2f})"
+        whole = ImageOps.expand(picture, (0, 0, 0, LINE), "white")
+        words = f"{cell.label['attack']}, {within}: {found}"
+        ImageDraw.Draw(whole).text((2, picture.height), words, "black", font(LINE * 2 // 3))
+        rows.setdefault(cell.label["attack"], []).append(whole)
+    width, height = whole.size
+    strip = Image.new("RGB", (width * max(map(len, rows.values())), height * len(rows)), "white")
+    for row, shown in enumerate(rows.values()):
+        for column, picture in enumerate(shown):
+            strip.paste(picture, (column * width, row * height))
+    return {"strip": strip}
 
 
 EXPERIMENT = Experiment(
