@@ -9,10 +9,6 @@ from __future__ import annotations
 import collections
 import logging
 import os
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,9 +41,6 @@ from cloak_core.studies.pace import in_turn
 _log = logging.getLogger(__name__)
 TRIANGLES = 55_000
 """Of the scene whose views are timed, as many as the paper's body has."""
-HIDDEN = 0.9
-"""Success in training, over ten steps, that the clock of a training waits for."""
-MOST_STEPS = 400
 DEVICE = "cuda"
 
 
@@ -76,17 +69,17 @@ class Operations(TorchDispatchMode):
         return func(*args, **kwargs or {})
 
 
-def count_operations(samples: int | None = 1, triangles: int = 3000) -> dict[str, int]:
-    """Count the operations of a new view as a device runs them, by their names, the most frequent first.
+def count_operations(samples: int | None = 1, triangles: int = 3000) -> int:
+    """Count the operations of a new view as a device runs them; the count does not depend on the scene.
 
-    samples: a pixel; the count does not depend on the scene.
+    samples: a pixel.
     """
     with torch_alone():
         cache = ViewCache(sphere(triangles), RenderSettings(samples=samples))
         cache.build([(0, Camera(width=96, height=96))])  # what is done once
         with Operations() as operations:
             cache.build([(0, Camera(width=96, height=96, azimuth=20.0))])
-    return dict(operations.counts.most_common())
+    return operations.counts.total()
 
 
 def _launches(material: Material) -> dict:
@@ -128,46 +121,6 @@ def _step(material: Material) -> dict:
     return steps
 
 
-def _training(material: Material) -> dict:
-    """Seconds and steps of a training until it hides the person from `HIDDEN` of ten steps' images."""
-    from cloak_core.library import train
-
-    last: collections.deque[float] = collections.deque(maxlen=10)
-    reached: dict[str, float] = {}
-    started = time.perf_counter()
-
-    def on_event(event: dict) -> None:
-        if event["type"] != "step":
-            return
-        last.append(event["success"])
-        if not reached and len(last) == last.maxlen and sum(last) / len(last) >= HIDDEN:
-            reached.update(step=event["step"], seconds=time.perf_counter() - started)
-
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder, "run")
-        train("sample:train", "chest+thighs", out=out, on_event=on_event, steps=MOST_STEPS, device=DEVICE)
-    return {"reached": reached or None, "steps": MOST_STEPS, "seconds": time.perf_counter() - started}
-
-
-def _commands(material: Material) -> dict:
-    """Seconds of whole commands: a hardening, and people dressed."""
-    commands = {"harden": ["harden", "builtin", "--steps", "50", "--no-assess"]}
-    if material.people is not None:
-        images = ["--images", str(material.images)] if material.images else []
-        worn = ["wear", "zoo:transfer-anny", "--people", material.people, "--detector", "builtin"]
-        commands["wear"] = [*worn, *images]
-    seconds = {}
-    for name, command in commands.items():
-        with tempfile.TemporaryDirectory() as folder:
-            whole = [sys.executable, "-m", "cloak_core", *command, "--device", DEVICE, "--out", f"{folder}/out"]
-            started = time.perf_counter()
-            done = subprocess.run(whole, capture_output=True, text=True)
-            if done.returncode:
-                raise InputError(f"cloak {' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
-            seconds[name] = time.perf_counter() - started
-    return seconds
-
-
 PARTS: dict[str, Callable[[Material], dict]] = {
     # Hard cases and views against the CPU's, which `cloak bench stability` holds to exact arithmetic.
     "bits": lambda material: {"against_cpu": compare_with_cpu()[0]},
@@ -176,8 +129,6 @@ PARTS: dict[str, Callable[[Material], dict]] = {
     "plain": _plain,
     "detectors": lambda material: run_bench_detectors(("builtin",), device=DEVICE),
     "step": _step,
-    "training": _training,
-    "commands": _commands,
 }
 
 
@@ -190,17 +141,14 @@ def run_bench_gpu(
 ) -> dict:
     """Measure every part of `PARTS` on the CUDA device, and count what a new view asks of any device.
 
-    people, images: of photographs, for a step and `wear` with people. scene: whose views are timed; None: a sphere of
+    people, images: of photographs, for a step with people. scene: whose views are timed; None: a sphere of
     `TRIANGLES`. With `out`, the record goes to that file, after
     each part. "failed" holds the words of parts that ended with bad input; "not_run" says why parts were not run.
     """
-    counts = {str(samples): count_operations(samples) for samples in (1, 4)}
-    operations = {samples: sum(names.values()) for samples, names in counts.items()}
     is_there = torch.cuda.is_available()
     record = {
         "machine": machine(DEVICE if is_there else "cpu"),
-        "new_view_operations": operations,
-        "most_frequent": {samples: dict(list(names.items())[:8]) for samples, names in counts.items()},
+        "new_view_operations": {str(samples): count_operations(samples) for samples in (1, 4)},
         "measured": {},
         "failed": {},
         "not_run": {} if is_there else dict.fromkeys(PARTS, "no CUDA device"),

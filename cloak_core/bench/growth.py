@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import trimesh
 
 from cloak_core.bench.growth_training import grow_people, grow_step
 from cloak_core.bench.measuring import check_counts, machine, with_earlier
@@ -113,21 +114,8 @@ def measure(quantity: str, size: int, threads: int, memory: int, people: tuple[s
 def sphere(triangles: int, radius: float = 0.9) -> Bodies:
     """Make a closed sphere of about this many triangles."""
     rings = max(3, round(math.sqrt(triangles / 4)))
-    sectors = 2 * rings
-    polar = np.linspace(0, np.pi, rings + 1)[1:-1, None]
-    around = (np.arange(sectors) * 2 * np.pi / sectors)[None]
-    inner = np.stack(
-        np.broadcast_arrays(np.sin(polar) * np.sin(around), np.cos(polar), np.sin(polar) * np.cos(around)), -1
-    )
-    vertices = np.concatenate([[[0, 1, 0]], inner.reshape(-1, 3), [[0, -1, 0]]]) * radius
-    at = 1 + np.arange((rings - 1) * sectors).reshape(rings - 1, sectors)
-    a = at[:-1]
-    b, c = np.roll(at, -1, 1)[:-1], np.roll(at, -1, 1)[1:]
-    d = at[1:]
-    top, bottom = np.zeros(sectors, int), np.full(sectors, len(vertices) - 1)
-    fans = [(top, at[0], np.roll(at[0], -1)), (bottom, np.roll(at[-1], -1), at[-1])]
-    quads = [(a.ravel(), d.ravel(), c.ravel()), (a.ravel(), c.ravel(), b.ravel())]
-    return Bodies(vertices=vertices[None], triangles=np.concatenate([np.stack(t, -1) for t in fans + quads]))
+    solid = trimesh.creation.uv_sphere(radius, count=[rings + 1, rings])
+    return Bodies(vertices=solid.vertices[None], triangles=solid.faces)
 
 
 def _point(

@@ -22,7 +22,8 @@ from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.landmarks import BLAZEPOSE
-from cloak_core.sources.photographs.people import People, load_people
+from cloak_core.sources.photographs.people import People, Person, load_people
+from cloak_core.studies.coco import run_lengths
 from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import clothes_cover
 
@@ -91,45 +92,38 @@ def write_simulated(people: People, count: int, folder: Path) -> Path:
     folder.mkdir(parents=True)
     names = []
     for start in range(0, count, SHARD):
-        images, annotations = [], []
-        for number in range(start, min(start + SHARD, count)):
-            random = np.random.default_rng(number)
-            person = people.people[number % len(people)]
-            rows = np.flatnonzero(person.mask.any(axis=1))
-            scale = float(np.clip(random.uniform(0.7, 1.15), *np.array([LEAST, MOST]) / (rows[-1] + 1 - rows[0])))
-            size = round(person.image.shape[1] * scale), round(person.image.shape[0] * scale)
-            recolored = np.clip(person.image * random.uniform(0.75, 1.25, 3), 0, 255).astype(np.uint8)
-            picture = Image.fromarray(recolored).resize(size, Image.Resampling.BILINEAR)
-            picture.save(folder / f"{number}.jpg", quality=90)
-            mask = np.array(Image.fromarray(person.mask).resize(size, Image.Resampling.NEAREST))
-            landmarks = person.landmarks.moved((0.0, 0.0), scale)
-            points, depth, visibility = np.zeros((33, 2)), np.zeros(33), np.zeros(33)
-            points[list(BLAZEPOSE)], visibility[list(BLAZEPOSE)] = landmarks.xy, landmarks.visibility
-            if landmarks.depth is not None:
-                depth[list(BLAZEPOSE)] = -landmarks.depth
-            pose = {"xy": points.ravel(), "visibility": visibility, "z": depth}
-            annotations.append(
-                {
-                    "id": number,
-                    "image_id": number,
-                    "iscrowd": 0,
-                    "blazepose": {name: values.round(2).tolist() for name, values in pose.items()},
-                    **_outline(mask),
-                }
-            )
-            images.append({"id": number, "file_name": f"{number}.jpg", "width": size[0], "height": size[1]})
+        numbers = range(start, min(start + SHARD, count))
+        made = [_simulated(people.people[number % len(people)], number, folder) for number in numbers]
         names.append(f"people-{start // SHARD}.json")
+        images, annotations = zip(*made, strict=True)
         write_json(folder / names[-1], {"images": images, "annotations": annotations})
     path = folder / "people.txt"
     path.write_text("\n".join(names) + "\n", encoding="utf-8")
     return path
 
 
-def _outline(mask: np.ndarray) -> dict:
-    """A mask as COCO has it: box and run lengths, column by column, of what is outside and inside in turn."""
+def _simulated(person: Person, number: int, folder: Path) -> tuple[dict, dict]:
+    """Save a scaled and recoloured photograph of a person; COCO's records of the image and of the person."""
+    random = np.random.default_rng(number)
+    rows = np.flatnonzero(person.mask.any(axis=1))
+    scale = float(np.clip(random.uniform(0.7, 1.15), *np.array([LEAST, MOST]) / (rows[-1] + 1 - rows[0])))
+    size = round(person.image.shape[1] * scale), round(person.image.shape[0] * scale)
+    recolored = np.clip(person.image * random.uniform(0.75, 1.25, 3), 0, 255).astype(np.uint8)
+    picture = Image.fromarray(recolored).resize(size, Image.Resampling.BILINEAR)
+    picture.save(folder / f"{number}.jpg", quality=90)
+    mask = np.array(Image.fromarray(person.mask).resize(size, Image.Resampling.NEAREST))
     y, x = np.nonzero(mask)
-    box = [int(x.min()), int(y.min()), int(x.max() - x.min() + 1), int(y.max() - y.min() + 1)]
-    flat = np.concatenate([[False], mask.T.ravel(), [False]])
-    ends = np.flatnonzero(flat[1:] != flat[:-1])
-    counts = np.diff(np.concatenate([[0], ends, [mask.size]])).tolist()
-    return {"bbox": box, "segmentation": {"size": list(mask.shape), "counts": counts}}
+    landmarks = person.landmarks.moved((0.0, 0.0), scale)
+    points, depth, visibility = np.zeros((33, 2)), np.zeros(33), np.zeros(33)
+    points[list(BLAZEPOSE)], visibility[list(BLAZEPOSE)] = landmarks.xy, landmarks.visibility
+    if landmarks.depth is not None:
+        depth[list(BLAZEPOSE)] = -landmarks.depth
+    pose = {"xy": points.ravel(), "visibility": visibility, "z": depth}
+    return {"id": number, "file_name": f"{number}.jpg", "width": size[0], "height": size[1]}, {
+        "id": number,
+        "image_id": number,
+        "iscrowd": 0,
+        "bbox": [int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1],
+        "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
+        "blazepose": {name: values.round(2).tolist() for name, values in pose.items()},
+    }

@@ -94,15 +94,6 @@ def depth(piece: Piece, x: int, y: int) -> int:
     return limit - min(max(int(inverse_depth * (1 << DEPTH_BITS)), 0), limit)
 
 
-def exact_inverse_depth(piece: Piece, x: int, y: int) -> Fraction:
-    """Inverse depth at a position on the snapped triangle, without any rounding."""
-    a, b, c = piece.corners
-    weight_b = Fraction((c.y - a.y) * (x - a.x) - (c.x - a.x) * (y - a.y), piece.area)
-    weight_c = Fraction((b.x - a.x) * (y - a.y) - (b.y - a.y) * (x - a.x), piece.area)
-    near = [Fraction(corner.inverse_depth) for corner in piece.corners]
-    return near[0] + weight_b * (near[1] - near[0]) + weight_c * (near[2] - near[0])
-
-
 def sample_positions(width: int, height: int, grid: int) -> tuple[np.ndarray, np.ndarray]:
     """Snapped x and y [H, W, S] of the samples, S = grid * grid row by row."""
     step = GRID // grid

@@ -24,9 +24,9 @@ from cloak_core.bench.measuring import machine
 from cloak_core.bench.oracle import (
     covered,
     depth,
-    exact_inverse_depth,
     hits,
     pieces,
+    plane,
     sample_positions,
     screen_of,
     twin,
@@ -125,8 +125,10 @@ def depth_error(case: Case, limit: int = 200) -> Fraction:
     for piece in pieces(case.screen, case.triangles)[:limit]:
         for row, column in np.argwhere(covered(piece, x, y))[:3]:
             place = int(x[row, column]), int(y[row, column])
-            exact = min(exact_inverse_depth(piece, *place) * (1 << DEPTH_BITS), top)
-            worst = max(worst, abs((top - depth(piece, *place)) - exact))
+            corners = [(Fraction(corner.x), Fraction(corner.y)) for corner in piece.corners]
+            across, down, at_zero = plane(corners, [Fraction(corner.inverse_depth) for corner in piece.corners])
+            exact = (across * place[0] + down * place[1] + at_zero) * (1 << DEPTH_BITS)
+            worst = max(worst, abs((top - depth(piece, *place)) - min(exact, top)))
     return worst
 
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.figure import Figure
 
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.evaluation.statistics import THRESHOLDS
 from cloak_core.studies.report.charts import Lines, Rows, column, detector_names, group, select
 from cloak_core.studies.report.plots import heat_map
-from cloak_core.studies.report.style import CYCLE, SERIES
+from cloak_core.studies.report.style import SERIES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,46 +38,13 @@ class Matrix:
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """Success against the detection threshold, panels side by side.
-
-    A line for each row of the table, and own clothing of the first; with `by_control` for each control instead.
-    """
+    """Success against the detection threshold, panels side by side: a line for each control."""
 
     where: Mapping[str, object] = field(default_factory=dict)
     panel: str = ""
-    by_control: bool = False
 
     def draw(self, rows: Rows, thresholds: Rows) -> Figure | None:
-        """Draw up to seven rows; None for more or none."""
+        """Draw the curves of the rows of the table that are asked for."""
         curves = select(thresholds, **self.where)
-        if not self.by_control:
-            clothing = select(curves, control=CLOTHING)[:1]
-            trained = select(curves, control=LOGO)
-            if not 1 <= len(trained) <= len(CYCLE):
-                return None
-            curves = [row | {"line": label} for row, label in zip(trained, distinct_labels(trained), strict=True)]
-            judges = [row.get("tested_on", row.get("detector")) for row in (*clothing, *curves)]
-            seen = f", seen by {detector_names(clothing)[judges[0]]}" if len(set(judges)) > 1 else ""
-            curves += [row | {"line": SERIES[CLOTHING].label + seen} for row in clothing]
         points = [row | {"threshold": t, "success": row[f"at_{t:g}"]} for row in curves for t in THRESHOLDS]
-        series = "control" if self.by_control else "line"
-        return Lines(x="threshold", series=series, panel=self.panel, interval="").draw(points)
-
-
-def distinct_labels(rows: Rows) -> list[str]:
-    """Label rows by the columns in which they differ; by the logo's area only where nothing else does."""
-    names = detector_names(rows)
-    left = {"control", "seconds", "cpu_seconds", "area_share", "logo_faces", "reach"}
-    keys = [key for key in rows[0] if key not in left and not key.startswith("at_")]
-
-    def written(key: str, value: object) -> str:
-        if isinstance(value, str):
-            return f"seen by {names[value]}" if key == "tested_on" else names.get(value, value)
-        return f"{100 * value:.1f} %" if key == "area_share" else f"{key.replace('_', ' ')} {value:g}"
-
-    for more in ([], ["area_share"]):
-        differing = [key for key in (*keys, *more) if len({str(row.get(key)) for row in rows}) > 1]
-        labels = [", ".join(written(key, row[key]) for key in differing) or SERIES[LOGO].label for row in rows]
-        if len(set(labels)) == len(labels):
-            break
-    return labels
+        return Lines(x="threshold", series="control", panel=self.panel, interval="").draw(points)

@@ -18,7 +18,6 @@ from cloak_core.core.evaluation.results import Results
 from cloak_core.core.logo import area_share, chest_thighs
 from cloak_core.core.pictures import save_picture
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.experiments.charts import Thresholds
 from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, Trainings, test_angles
 from cloak_core.experiments.options import names
 from cloak_core.experiments.plan import row_name
@@ -193,9 +192,8 @@ def draw_again(name: str, out: Path) -> dict:
     record = read_json(folder / "numbers.json")
     if record.get("format") != FORMAT:
         raise InputError(f"{folder / 'numbers.json'}: not a {FORMAT}; run the experiment again to draw its figures")
-    charts = {**experiment.figures, "thresholds": experiment.figures.get("thresholds", Thresholds())}
     with style():
-        figures = {key: chart.draw(record["rows"], record["thresholds"]) for key, chart in charts.items()}
+        figures = {key: chart.draw(record["rows"], record["thresholds"]) for key, chart in experiment.figures.items()}
         files = [path.name for key, f in figures.items() if f for path in save_figure(f, folder / key)]
     record |= {"title": experiment.title, "paper": list(experiment.paper), "words": [experiment.caption]}
     record["figures"] = [*files, *record["pictures"]]

@@ -105,7 +105,7 @@ def draw_tile(
     write(axes, middle, chart.name + f", part {tile.part} of {tile.parts}" * bool(tile.part), 6)
 
 
-def write(axes: Axes, at: Float[np.ndarray, " 2"], words: str, size: float, **more: object) -> Text:
+def write(axes: Axes, at: Float[np.ndarray, " 2"], words: str, size: int, **more: object) -> Text:
     """Write a few words on white that lets the picture shine through."""
     box = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.5}
     return axes.text(*at.tolist(), words, fontsize=size, ha="center", va="center", bbox=box, zorder=4, **more)

@@ -36,6 +36,8 @@ def make_report(run: Path) -> Path:
     stored = read_evaluation(run / FOLDER) if (run / FOLDER).exists() else None
     earlier = is_earlier_on_people(run / PEOPLE_FOLDER)
     people = read_evaluation(run / PEOPLE_FOLDER) if (run / PEOPLE_FOLDER).exists() and not earlier else None
+    files = sorted((run / "previews").glob("*.png"))
+    previews = dict.fromkeys(files[:1] + files[-1:])
     with page_style():
         page = {
             "name": run.resolve().name,
@@ -43,7 +45,7 @@ def make_report(run: Path) -> Path:
             "config_text": json.dumps(config, indent=2),
             "history": history,
             "training": svg(plots.training_curves(history)) if history.losses or history.success else None,
-            "previews": _previews(run),
+            "previews": [data_uri(file) for file in previews if file.stat().st_size <= MAX_PICTURE],
             "blender": data_uri(run / BLENDER) if (run / BLENDER).exists() else None,
             "turntable": _turntable(run, stored),
             "evaluation": _evaluation(stored) if stored else None,
@@ -51,12 +53,6 @@ def make_report(run: Path) -> Path:
             "earlier_photographs": earlier,
         }
     return write_page(run / "report.html", "report.html", page)
-
-
-def _previews(run: Path) -> list[str]:
-    """Read the first and the last preview, as data."""
-    files = sorted((run / "previews").glob("*.png"))
-    return [data_uri(file) for file in dict.fromkeys(files[:1] + files[-1:]) if file.stat().st_size <= MAX_PICTURE]
 
 
 def _turntable(run: Path, stored: StoredEvaluation | None) -> str | None:
@@ -68,52 +64,52 @@ def _turntable(run: Path, stored: StoredEvaluation | None) -> str | None:
     return data_uri(stored.folder / "pictures" / Path(stored.pictures["turntable"]).name)
 
 
-def _evaluation(stored: StoredEvaluation) -> dict:
-    summary, pictures = stored.summary, stored.pictures
-    folder = stored.folder / "pictures"
-    specs = list(summary["detectors"])
-    shown = [_pair(folder, specs, pair) for pair in pictures["gallery"]]
-    gallery = [(body, list(pairs)) for body, pairs in groupby(shown, key=itemgetter("body"))]
-    strip = pictures["controls"]
-    images = {control: shot(folder, specs, picture) for control, picture in strip["images"].items()}
+def _judged(stored: StoredEvaluation, specs: list[str]) -> dict:
+    """Prepare what is shown of any evaluation: where boxes are drawn, pairs of pictures, one image in every pattern."""
+    folder, points = stored.folder / "pictures", _thresholds(stored)
+    strip = stored.pictures["controls"]
+    named = (f"{points[spec]:g} ({words.short_name(spec)})" for spec in specs)
     return {
-        "summary": summary,
-        "threshold": summary["settings"]["threshold"],
+        "threshold": stored.summary["settings"]["threshold"],
+        "size": stored.summary["settings"]["size"],
+        "shown_at": ", ".join(named) if len(set(points.values())) > 1 else f"{points[specs[0]]:g}",
+        "gallery": [_pair(folder, specs, pair) for pair in stored.pictures["gallery"]],
+        "strip": {control: shot(folder, specs, picture) for control, picture in strip["images"].items()},
+    }
+
+
+def _evaluation(stored: StoredEvaluation) -> dict:
+    """Prepare what is shown of renders."""
+    folder = stored.folder / "pictures"
+    specs = list(stored.summary["detectors"])
+    shown = _judged(stored, specs)
+    gallery = [(body, list(pairs)) for body, pairs in groupby(shown["gallery"], key=itemgetter("body"))]
+    return shown | {
+        "summary": stored.summary,
         "detectors": [_on_bodies(stored, spec) for spec in specs],
-        "controls": list(stored.results.controls),
         "gallery": gallery,
-        "shown_at": _shown_at(stored, specs),
         "columns": max([3, *(len(pairs) for _, pairs in gallery)]),  # fewer would be larger than they were rendered
-        "strip": _label(strip) | {"images": images},
-        "flat": {side: data_uri(folder / Path(name).name) for side, name in pictures["flat"].items()},
-        "size": summary["settings"]["size"],
+        "strip": _label(stored.pictures["controls"]) | {"images": shown["strip"]},
+        "flat": {side: data_uri(folder / Path(name).name) for side, name in stored.pictures["flat"].items()},
     }
 
 
 def _photographs(stored: StoredEvaluation) -> dict:
-    """Prepare what is shown of people in photographs: figures by detector, pictures of some people, the controls.
+    """Prepare what is shown of people in photographs.
 
     Detectors that the colours were never trained against come first.
     """
-    summary, pictures = stored.summary, stored.pictures
-    folder = stored.folder / "pictures"
+    summary = stored.summary
     specs = sorted(summary["detectors"], key=lambda spec: summary["white_box"].get(spec) is not False)
-    summary = summary | {"detectors": {spec: summary["detectors"][spec] for spec in specs}}
-    controls = stored.results.controls
-    images = pictures["controls"]["images"]
-    rows = {spec: [(control, rates[control]) for control in controls] for spec, rates in summary["detectors"].items()}
-    detectors = [
-        _detector(stored, spec) | {"white_box": summary["white_box"].get(spec), "rows": rows[spec]} for spec in specs
-    ]
-    return {
-        "summary": summary,
-        "threshold": summary["settings"]["threshold"],
-        "size": summary["settings"]["size"],
+    rates = {spec: summary["detectors"][spec] for spec in specs}
+    rows = {spec: [(control, rates[spec][control]) for control in stored.results.controls] for spec in specs}
+    return _judged(stored, specs) | {
+        "summary": summary | {"detectors": rates},
         "unseen": summary["unseen"].get("photographs"),
-        "detectors": detectors,
-        "shown_at": _shown_at(stored, specs),
-        "gallery": [_pair(folder, specs, pair) for pair in pictures["gallery"]],
-        "strip": {control: shot(folder, specs, picture) for control, picture in images.items()},
+        "detectors": [
+            _detector(stored, spec) | {"white_box": summary["white_box"].get(spec), "rows": rows[spec]}
+            for spec in specs
+        ],
     }
 
 
@@ -152,13 +148,6 @@ def _thresholds(stored: StoredEvaluation) -> dict[str, float]:
     """Give what the pictures are shown at: the detectors' own; in earlier evaluations the one that was asked for."""
     asked = dict.fromkeys(stored.summary["detectors"], stored.summary["settings"]["threshold"])
     return stored.pictures.get("thresholds", asked)
-
-
-def _shown_at(stored: StoredEvaluation, specs: list[str]) -> str:
-    """Say above which score each detector's boxes are drawn."""
-    points = _thresholds(stored)
-    named = (f"{points[spec]:g} ({words.short_name(spec)})" for spec in specs)
-    return ", ".join(named) if len(set(points.values())) > 1 else f"{points[specs[0]]:g}"
 
 
 def _pair(folder: Path, specs: list[str], pair: dict) -> dict:

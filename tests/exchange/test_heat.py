@@ -18,18 +18,17 @@ def test_the_asked_share_of_the_area_is_taken_by_heat_per_area():
         assert not len(others) or density[ids].min() >= density[others].max()
 
 
-def test_a_large_face_must_have_more_heat():
-    assert hottest_faces(np.array([0.0, 3, 1, 2]), np.array([1.0, 9, 1, 1]), 0.25).tolist() == [2, 3]
-
-
-def test_the_hottest_face_is_taken_however_small_the_share():
-    assert hottest_faces(np.array([1.0, 2]), np.ones(2), 0.001).tolist() == [1]
-
-
-def test_what_was_never_seen_is_left_out():
-    heat = np.where(np.arange(20) < 5, 1.0, 0.0)
-    assert hottest_faces(heat, np.ones(20), 1.0).tolist() == [0, 1, 2, 3, 4]
-    assert hottest_faces(np.ones(3), np.array([1.0, 0, 1]), 1.0).tolist() == [0, 2]  # a face without area is not seen
+@pytest.mark.parametrize(
+    ("heat", "areas", "share", "ids"),
+    [
+        ([0, 3, 1, 2], [1, 9, 1, 1], 0.25, [2, 3]),  # a large face must have more heat
+        ([1, 2], [1, 1], 0.001, [1]),  # however small the share, the hottest face is taken
+        ([1, 0, 1, 0], [1, 1, 1, 1], 1.0, [0, 2]),  # what was never seen is left out
+        ([1, 1, 1], [1, 0, 1], 1.0, [0, 2]),  # a face without area is not seen
+    ],
+)
+def test_which_faces_are_taken(heat, areas, share, ids):
+    assert hottest_faces(np.float32(heat), np.float64(areas), share).tolist() == ids
 
 
 @pytest.mark.parametrize(

@@ -53,8 +53,7 @@ def test_transfer_writes_everything(split: DataSplit, finished: tuple[Path, dict
     out, record = finished
     folder = out / "transfer"
     assert {p.name for p in folder.iterdir()} == {
-        "config.json", "numbers.json", "numbers.csv", "matrix.png", "matrix.svg",
-        "thresholds.csv", "thresholds.png", "thresholds.svg",
+        "config.json", "numbers.json", "numbers.csv", "thresholds.csv", "matrix.png", "matrix.svg",
     }  # fmt: skip
     assert json.loads((folder / "numbers.json").read_text()) == json.loads(json.dumps(record))
     with (folder / "numbers.csv").open() as file:

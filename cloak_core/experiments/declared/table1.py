@@ -52,7 +52,7 @@ EXPERIMENT = Experiment(
             panel="detector",
             labels={"single": "trained at one angle", "multi": "trained at five angles"},
         ),
-        "thresholds": Thresholds(where=WHOLE, panel="detector", by_control=True),
+        "thresholds": Thresholds(where=WHOLE, panel="detector"),
     },
     paper=PAPER,
     order=1,
