@@ -28,7 +28,7 @@ from cloak_core.library import load_people
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.studies.evaluate import evaluate, show_bodies
-from cloak_core.studies.opening import CLOTHES, is_picture, open_pattern, open_run
+from cloak_core.studies.opening import CLOTHES, FLIPPED, open_pattern, open_run
 from cloak_core.studies.trained_run import kept_back, read_run
 from cloak_core.studies.wearing.wearing import wear_and_judge
 from cloak_core.zoo.entry import run_path
@@ -48,7 +48,7 @@ CONTROLS = ("clothing", "grey")
 
 def opened(spec: str, scenes: list) -> tuple[Pattern, Bodies]:
     """Open one of COLORS, and a scene whose bodies can wear it."""
-    if is_picture(spec):
+    if "@tile=" in spec or "@patch=" in spec or spec.startswith("print:") or spec.endswith(FLIPPED):
         cover = load_logo(scenes[0], CLOTHES)
         return open_pattern(spec, cover, scenes[0])[0], scenes[0]
     folder = run_path(spec)

@@ -94,18 +94,18 @@ class Harden(Photographed, Computing):
 
     def _planned(self, student: Student, material: Material) -> HardenSettings:
         """Settings with the counts that --hours asks for; those of the record where a hardening goes on."""
-        from cloak_core.studies.hardening import planning
+        from cloak_core.studies.hardening.planning import measure_pace, plan, recorded_plan
 
         if self.hours is None:
             return self.settings
         if self.resume and self.out.exists():
-            return planning.recorded_plan(self.settings, self.out)
+            return recorded_plan(self.settings, self.out)
         with TrainingProgress(label="timing updates") as progress:
-            pace = planning.measure_pace(self.settings, student, material, progress)
-        settings = planning.plan(self.settings, pace, self.hours)
-        out.print(planning.planned_words(settings, pace, self.hours))
-        if words := planning.too_few_words(settings, pace):
-            warn(words)
+            pace = measure_pace(self.settings, student, material, progress)
+        settings, planned, warning = plan(self.settings, pace, self.hours)
+        out.print(planned)
+        if warning:
+            warn(warning)
         return settings
 
     def _cards(self, spec: str) -> dict:

@@ -6,7 +6,7 @@ Of a detector behind masks also the certified recall: people whom one small patc
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -73,18 +73,16 @@ def check_scene(
     background = rng.integers(len(backgrounds), size=len(pose))
     shift = np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1)
     trials = make_trials(pose, angle, camera.elevation, camera.distance, background, shift)
-    images = _clean_images(bodies, backgrounds, trials, camera, RenderSettings(device=detector.device))
-    rates, bare = _check(detector, images, _own(bodies), "score", np.arange(len(backgrounds)))
-    own = detector.operating_point
-    loudest = bare[(bare["score"] > min(THRESHOLD, own)).to_numpy()].sort_values(
-        "score", ascending=False, kind="stable"
-    )
-    alarms = zip(loudest["background"], loudest["score"], strict=True)
+    clothing, own = _own(bodies), detector.operating_point
+    images = body_images(bodies, backgrounds, trials, RenderSettings(device=detector.device), camera, [clothing])
+    rates, bare = _check(detector, images, clothing, "score", np.arange(len(backgrounds)))
+    alarms = bare[(bare["score"] > min(THRESHOLD, own)).to_numpy()]
+    alarms = alarms.sort_values("score", ascending=False, kind="stable")[["background", "score"]].to_numpy()
     return rates | {
         "false_alarms": _found(bare, THRESHOLD),
         "false_alarms_own": _found(bare, own),
         "backgrounds": len(backgrounds),
-        "alarms": [{"background": backgrounds.names[i], "score": round(float(score), 4)} for i, score in alarms],
+        "alarms": [{"background": backgrounds.names[int(i)], "score": round(float(score), 4)} for i, score in alarms],
     }
 
 
@@ -144,14 +142,13 @@ def clean_renders(count: int, size: tuple[int, int]) -> UInt8[Tensor, "B 3 H W"]
     angle, distance = rng.uniform(-180, 180, count), rng.uniform(1.6, 4, count)
     background, outfit = rng.integers(len(backgrounds), size=count), rng.integers(len(bodies.face_colors), size=count)
     pose = np.arange(count) % bodies.pose_count
-    shift = np.zeros((count, 2))
-    trials = make_trials(pose, angle, 6, distance, background, shift, outfit)
-    camera = Camera(height=size[0], width=size[1])
+    trials = make_trials(pose, angle, 6, distance, background, np.zeros((count, 2)), outfit)
+    camera, clothing = Camera(height=size[0], width=size[1]), _own(bodies)
     # No view comes twice.
-    images = _clean_images(bodies, backgrounds, trials, camera, RenderSettings(memory_bytes=0))
+    images = body_images(bodies, backgrounds, trials, RenderSettings(memory_bytes=0), camera, [clothing])
     renders = torch.zeros(count, 3, *size, dtype=torch.uint8)
     for batch in batches(np.arange(count), BATCH):
-        renders[batch] = as_bytes(images.render(batch, _own(bodies)))
+        renders[batch] = as_bytes(images.render(batch, clothing))
     return renders
 
 
@@ -163,13 +160,6 @@ def as_bytes(images: Float[Tensor, "*B 3 H W"]) -> UInt8[Tensor, "*B 3 H W"]:
 def _own(bodies: Bodies) -> OwnClothing:
     """Wear nothing: one face stands for the logo, in its own colour."""
     return OwnClothing(Cover(np.zeros(1, np.int64), bodies.topology))
-
-
-def _clean_images(
-    bodies: Bodies, backgrounds: Backgrounds, trials: pd.DataFrame, camera: Camera, render: RenderSettings
-) -> ImageSet:
-    """Make images of bodies as they are."""
-    return body_images(bodies, backgrounds, trials, render, camera, [_own(bodies)])
 
 
 def verify_specs(
@@ -185,13 +175,9 @@ def verify_specs(
     original: a detector that all of them must agree with; None for the one that `verify` finds. on_progress: hears
     (steps done, steps in all) once the first spec is loaded: rendering, and each check, of each spec.
     """
-    reports, steps = {}, len(CHECKS) + 2
-    for number, spec in enumerate(specs):
-        done = itertools.count(number * steps)
-
-        def tell(done: Iterator[int] = done) -> None:
-            on_progress(next(done), steps * len(specs))
-
+    reports, done, total = {}, itertools.count(), (len(CHECKS) + 2) * len(specs)
+    tell = lambda: on_progress(next(done), total)
+    for spec in specs:
         detector = load(spec)
         tell()
         images = sample_images(natural_size(detector), folder, renders)

@@ -6,7 +6,6 @@ Keys that COCO knows mean what they mean there; what else is known of a render s
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -56,15 +55,15 @@ def export_coco(
             views = shown.views(batch, pattern)
             pair = shown.compose(batch, (OwnClothing(pattern.cover), pattern))
             for cloaked, pictures in zip((False, True), pair, strict=True):
-                for trial, view, picture in zip(batch, views, pictures, strict=True):
-                    image = _image(shown, int(trial), cloaked, kind)
+                for trial, view, picture in zip(batch.tolist(), views, pictures, strict=True):
+                    image = _image(shown, trial, cloaked, kind)
                     save_picture(folder / IMAGES / image["file_name"], to_pil(picture), **SAVING[kind])
                     images.append(image)
-                    annotations += _annotations(shown, int(trial), view, image)
+                    annotation = _annotation(shown, trial, view, image)
+                    if annotation:
+                        annotations.append({"id": len(annotations) + 1} | annotation)
             if on_progress:
                 on_progress(len(images), 2 * len(shown.trials))
-        for number, annotation in enumerate(annotations, 1):
-            annotation["id"] = number
         write_json(folder / ANNOTATIONS, _header() | {"images": images, "annotations": annotations})
     counts = {"images": len(images), "annotations": len(annotations), "cloaked": len(shown.trials)}
     return {"out": str(out), "file": str(out / ANNOTATIONS)} | counts
@@ -98,17 +97,17 @@ def _camera(shown: ImageSet, trial: int) -> Camera:
     return shown.source.camera({**row, "azimuth": row["angle"]})
 
 
-def _annotations(shown: ImageSet, trial: int, view: BakedView, image: dict) -> Iterator[dict]:
-    """Yield the body's annotation, without its id; none where nothing of it is in the image."""
+def _annotation(shown: ImageSet, trial: int, view: BakedView, image: dict) -> dict:
+    """Make the body's annotation, without its id; {} where nothing of it is in the image."""
     mask = body_masks([view], shown.shifts([trial]))[0].cpu().numpy()
     trials = shown.trials
     if not mask.any():
-        return
+        return {}
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     x, y = int(columns[0]), int(rows[0])
     box = [x, y, int(columns[-1]) - x + 1, int(rows[-1]) - y + 1]
     whole = _whole_box(shown, trial) or box
-    yield {
+    return {
         "image_id": image["id"],
         "category_id": PERSON,
         "iscrowd": 0,

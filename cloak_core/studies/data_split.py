@@ -84,9 +84,17 @@ def open_data_split(
     Embedded scenes and backgrounds have unseen parts of their own.
     InputError: there is only one body or background to split.
     """
-    bodies = _open_bodies(scene, unseen)
+    if unseen_backgrounds is not None:
+        behind = load_backgrounds(backgrounds), load_backgrounds(unseen_backgrounds)
+    elif backgrounds == "procedural":
+        behind = load_backgrounds("procedural:train"), load_backgrounds("procedural:test")
+    else:
+        every = load_backgrounds(backgrounds)
+        if len(every) < 2:
+            raise InputError(f"{backgrounds}: one background cannot be both trained on and unseen")
+        behind = every.split(2, 0), every.split(2, 1)
     halves = () if people is None else people.halves()
-    return DataSplit(*bodies, *_open_backgrounds(backgrounds, unseen_backgrounds), detectors, *halves)
+    return DataSplit(*_open_bodies(scene, unseen), *behind, detectors, *halves)
 
 
 def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
@@ -112,14 +120,3 @@ def _every_second_outfit(bodies: Bodies, first: int) -> Bodies:
     return replace(
         bodies, face_colors=bodies.face_colors[first::2], outfit_textures=textures, recorded_topology=bodies.topology
     )
-
-
-def _open_backgrounds(spec: str, unseen: str | None) -> tuple[Backgrounds, Backgrounds]:
-    if unseen is not None:
-        return load_backgrounds(spec), load_backgrounds(unseen)
-    if spec == "procedural":
-        return load_backgrounds("procedural:train"), load_backgrounds("procedural:test")
-    backgrounds = load_backgrounds(spec)
-    if len(backgrounds) < 2:
-        raise InputError(f"{spec}: one background cannot be both trained on and unseen")
-    return backgrounds.split(2, 0), backgrounds.split(2, 1)

@@ -53,7 +53,7 @@ class Shown:
     patterns: Patterns
     circumstances: dict
     """Keys of the summary: settings, inputs, unseen, white_box, warnings."""
-    draw_more: Callable[[Path, int, Mapping[str, Detector], float], dict] = lambda *_: {}
+    draw_more: Callable[[Path, int, Mapping[str, Detector], float], dict] = lambda *_: {"flat": {}}
     """Draws further pictures into a folder, of a trial, with what detectors report above a threshold."""
 
 
@@ -139,7 +139,7 @@ def show_people(
         "white_box": trained_against(training, detectors),
         "warnings": warnings,
     }
-    return Shown(images, patterns, circumstances, lambda *_: {"flat": {}})
+    return Shown(images, patterns, circumstances)
 
 
 def mean_quality(fits: Sequence[Fit]) -> dict[str, float]:

@@ -88,24 +88,21 @@ def _keys(table: dict, path: Path) -> dict:
 
 
 def _run(base: dict, varied: dict, path: Path) -> SweepRun:
-    base = dict(base)
-    varied_settings = dict(varied)
-    inputs = {"backgrounds": "procedural:train", "detector": "builtin"}
-    for table in (base, varied_settings):
-        inputs |= {key: table.pop(key) for key in INPUTS if key in table}
+    named = {"backgrounds": "procedural:train", "detector": "builtin"} | base | varied
     for key in INPUTS:
-        if key not in inputs:
+        if key not in named:
             raise InputError(f"{path}: {key} is missing (in [base] or [grid])")
+    inputs = {key: named[key] for key in INPUTS}
     specs = inputs.pop("detector")
-    if not isinstance(specs, list):
-        specs = [specs]
+    specs = specs if isinstance(specs, list) else [specs]
     if not specs:
         raise InputError(f"{path}: detector: none given")
     for key, value in [*inputs.items(), *(("detector", spec) for spec in specs)]:
         if not isinstance(value, str) or not value:
             raise InputError(f"{path}: {key}: {value!r} is not text")
     try:
-        settings = settings_from_record(merge(base, varied_settings))
+        layers = ({key: value for key, value in table.items() if key not in INPUTS} for table in (base, varied))
+        settings = settings_from_record(merge(*layers))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return SweepRun(varied=varied, detectors=tuple(specs), settings=settings, **inputs)

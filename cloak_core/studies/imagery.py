@@ -16,6 +16,7 @@ from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.core.images import ImageSet, dressed
 from cloak_core.core.paint import blank
 from cloak_core.core.pattern import Pattern
+from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -94,9 +95,17 @@ def before_grey(
 ) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
     """Render one trial's body, unmoved, before mid-grey; also how much of every pixel it covers."""
     (view,) = images.views([trial], pattern)
-    rows = blank(1, view.height, view.width, images.device).fill_(0.5)
+    return _before(view, pattern, 0.5, trial)
+
+
+def _before(
+    view: BakedView, pattern: Pattern, grey: float, trial: int = 0
+) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
+    """Render a view before one grey; also how much of every pixel it covers."""
+    device = view.pixels.device
+    rows = blank(1, view.height, view.width, device).fill_(grey)
     image = dressed([view], pattern, rows).paint(pattern.colors_in(view, trial))[0]
-    coverage = torch.zeros(view.height * view.width, device=images.device)
+    coverage = torch.zeros(view.height * view.width, device=device)
     coverage[view.pixels] = view.coverage
     return image, coverage
 
@@ -110,20 +119,16 @@ def flat_views(
     """
     render = RenderSettings(light=Light(ambient=1.0, diffuse=0.0, specular=0.0), device=device)
     source = BodySource(bodies.select_poses([0]), render, Camera(width=size, height=size))
-    views = {side: _flat_view(source, pattern, azimuth) for side, azimuth in SIDES.items()}
-    return {side: rgba for side, rgba in views.items() if rgba.numel()}
-
-
-def _flat_view(source: BodySource, pattern: Pattern, azimuth: float) -> Float[Tensor, "h w 4"]:
-    shown = {"pose": 0, "outfit": 0, "azimuth": azimuth, "elevation": 0.0, "distance": source.viewpoint.distance}
-    view = source.view(shown, None, pattern)
-    device = view.pixels.device
-    rows = blank(1, view.height, view.width, device).fill_(1.0)
-    image = dressed([view], pattern, rows).paint(pattern.colors_in(view, 0))[0]
-    alpha = torch.zeros(view.height * view.width, device=device)
-    alpha[view.pixels] = view.coverage
-    alpha = alpha.view(1, view.height, view.width)
-    # Take the white behind the silhouette's pixels out again.
-    color = ((image - (1 - alpha)) / alpha.clamp(min=1e-3)).clamp(0, 1)
-    x0, y0, x1, y1 = view.box
-    return torch.cat([color, alpha])[:, y0:y1, x0:x1].permute(1, 2, 0)
+    shown = {"pose": 0, "outfit": 0, "elevation": 0.0, "distance": source.viewpoint.distance}
+    sides = {}
+    for side, azimuth in SIDES.items():
+        view = source.view(shown | {"azimuth": azimuth}, None, pattern)
+        image, alpha = _before(view, pattern, 1.0)
+        alpha = alpha.view(1, view.height, view.width)
+        # Take the white behind the silhouette's pixels out again.
+        color = ((image - (1 - alpha)) / alpha.clamp(min=1e-3)).clamp(0, 1)
+        x0, y0, x1, y1 = view.box
+        rgba = torch.cat([color, alpha])[:, y0:y1, x0:x1].permute(1, 2, 0)
+        if rgba.numel():
+            sides[side] = rgba
+    return sides

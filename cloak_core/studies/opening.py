@@ -121,10 +121,18 @@ def open_pattern(spec: str, cover: Cover | None = None, bodies: Bodies | None = 
     """
     if spec.endswith(FLIPPED):
         pattern, _, name = open_pattern(spec.removesuffix(FLIPPED), cover, bodies)
-        return _flipped(pattern, spec), None, name + FLIPPED
+        upright = pattern.picture(pattern.colors)
+        if upright is None:
+            raise InputError(f"{spec}: has colours of faces; a picture or a cloth can be turned upside down")
+        return replace(pattern, colors=upright[::-1].reshape(-1, 3).copy()), None, name + FLIPPED
     picture = _PICTURE.fullmatch(spec)
     if picture is not None:
-        metres = _metres(spec, picture["metres"])
+        try:
+            metres = float(picture["metres"])
+        except ValueError:
+            raise InputError(f"{spec}: the width {picture['metres']} is not a number of metres") from None
+        if not 0.01 <= metres <= 5:
+            raise InputError(f"{spec}: {picture['metres']} metres are not between 0.01 and 5")
         name, pixels = _picture_of(picture["file"])
         name = f"{name}@{picture['kind']}={metres:g}"
         if picture["kind"] == "patch":
@@ -140,16 +148,6 @@ def open_pattern(spec: str, cover: Cover | None = None, bodies: Bodies | None = 
     config = read_run(path)
     name = spec if spec.startswith("zoo:") else path.name
     return run_pattern(path, cover or cover_of_run(path, config), bodies), config, name
-
-
-def _metres(spec: str, width: str) -> float:
-    try:
-        metres = float(width)
-    except ValueError:
-        raise InputError(f"{spec}: the width {width} is not a number of metres") from None
-    if not 0.01 <= metres <= 5:
-        raise InputError(f"{spec}: {width} metres are not between 0.01 and 5")
-    return metres
 
 
 def _picture_of(named: str) -> tuple[str, UInt8[np.ndarray, "h w 3"]]:
@@ -168,18 +166,6 @@ def _on_chest(pixels: UInt8[np.ndarray, "h w 3"], metres: float) -> ChestPattern
     height, width = pixels.shape[:2]
     top = -(body_rig().joints["l_hip"][1] + CHEST) - metres * height / width / 2
     return ChestPattern.of_picture(_chest_cover(), pixels, metres, corner=(-metres / 2, float(top)))
-
-
-def _flipped(pattern: Pattern, spec: str) -> Pattern:
-    picture = pattern.picture(pattern.colors)
-    if picture is None:
-        raise InputError(f"{spec}: has colours of faces; a picture or a cloth can be turned upside down")
-    return replace(pattern, colors=picture[::-1].reshape(-1, 3).copy())
-
-
-def is_picture(spec: str) -> bool:
-    """Tell whether one of COLORS names a picture, or a cloth worn otherwise than it was trained."""
-    return _PICTURE.fullmatch(spec) is not None or spec.startswith(_PRINT) or spec.endswith(FLIPPED)
 
 
 def cloth_spec(pattern: str) -> str:

@@ -56,17 +56,16 @@ def clean_scores(
 
 def summarize_photographs(rows: pd.DataFrame, threshold: float, resamples: int = RESAMPLES) -> dict:
     """Count contract C7's figures: of the first detector, and of every one in `detectors`."""
-    by_detector = {str(spec): mine for spec, mine in rows.groupby("detector", sort=False)}
-    detectors = {spec: _detector_summary(mine, threshold, resamples) for spec, mine in by_detector.items()}
-    first = next(iter(by_detector.values()))
-    people = first[(first["garment"] != NOBODY).to_numpy()]
-    told = next(iter(detectors.values()))
+    by_detector = {str(spec): of_spec for spec, of_spec in rows.groupby("detector", sort=False)}
+    detectors = {spec: _detector_summary(of_spec, threshold, resamples) for spec, of_spec in by_detector.items()}
+    rows, first = next(iter(by_detector.values())), next(iter(detectors.values()))
+    people = rows[(rows["garment"] != NOBODY).to_numpy()]
     return {
-        **{key: told[key] for key in (WITH, WITHOUT, "controls")},
+        **{key: first[key] for key in (WITH, WITHOUT, "controls")},
         "people": people["person"].nunique(),
         "scenes": people["place"].nunique(),
         "threshold": threshold,
-        "operating_points": {spec: operating_point(mine) for spec, mine in by_detector.items()},
+        "operating_points": {spec: operating_point(of_spec) for spec, of_spec in by_detector.items()},
         "detectors": detectors,
         "warnings": warnings(people),
     }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -97,7 +97,11 @@ class RunStore(TrainingStore):
         logo = make_logo(bodies, faces)
         with _precision([self.split.detectors[spec] for spec in specs], precision) as detectors:
             training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self._people)
-            return self.train_once(training, self.folder(training), _training_words(specs, seed, changes))
+            # A run that it begins with has no name for people.
+            told = "".join(
+                f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds")
+            )
+            return self.train_once(training, self.folder(training), f"against {_short(specs)}{told}, seed {seed}")
 
     @cached_property
     def _people(self) -> Fits:
@@ -226,12 +230,6 @@ class RunStore(TrainingStore):
         images = people_images(fits, self.split.unseen_backgrounds, settings, device)
         patterns = dict(worn) | controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover(logo)), settings.seed)
         return self.measure_once(images, patterns, detectors, settings, "people", ())
-
-
-def _training_words(specs: Sequence[str], seed: int, changes: Mapping[str, object]) -> str:
-    """Say what is trained: against what, and by which settings; a run that it begins with has no name for people."""
-    settings = "".join(f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds"))
-    return f"against {_short(specs)}{settings}, seed {seed}"
 
 
 def _short(specs: Sequence[str]) -> str:

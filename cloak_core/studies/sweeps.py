@@ -41,6 +41,7 @@ TABLE_SECONDS = 60.0
 """Between writes of the table while runs go on; whoever ran the sweep writes it at the end."""
 _log = logging.getLogger("cloak")
 _NAME = re.compile(r"(.*-)?[0-9a-f]{16}")
+"""Of results; those of earlier versions were not named by content."""
 Prepare = Callable[[ComputeSettings], object]
 
 
@@ -97,16 +98,25 @@ class Sweep:
         run on a GPU. InputError before anything is trained: something in the grid cannot be opened, the folder is of an
         earlier version, or somebody else is at it.
         """
-        self._require_names()
-        left = [(run, folder) for run, folder in zip(self.runs, self.folders, strict=True) if not self._is_done(folder)]
+        if any(not _NAME.fullmatch(path.stem) for path in (self.out / "results").glob("*.json")):
+            raise InputError(
+                f"{self.out}: holds the results of a sweep by an earlier version, which sweep.md lists; choose another "
+                "--out"
+            )
+        every = [(run, folder, self._result(folder)) for run, folder in zip(self.runs, self.folders, strict=True)]
+        left = [(run, folder) for run, folder, result in every if not result or "error" in result]
         with written(self.out):
             for name in ("runs", "results"):
                 (self.out / name).mkdir(parents=True, exist_ok=True)
         tell(f"{len(left)} of {len(self.runs)} runs to train")
         busy = f"{self.out}: another sweep is at it; many at once are --ray's business"
+        jobs = {}
+        for run, folder in left:
+            arguments = {"run": run, "folder": folder, "prepare": prepare, "on_event": None if executor else on_event}
+            compute = run.settings.compute
+            job = Job(run.label, train_run, arguments, **resources(compute.threads, compute.device, gpus))
+            jobs[job] = run, folder
         with lock(self.out / ".lock", busy=busy):
-            listener = None if executor else on_event
-            jobs = {self._job(run, folder, listener, prepare, gpus): (run, folder) for run, folder in left}
             return self._hand_out(executor, jobs, tell)
 
     @cached_property
@@ -125,8 +135,7 @@ class Sweep:
 
     def results(self) -> list[dict]:
         """Read what came of the runs that have ended, in the grid's order; those without an end are missing."""
-        paths = [self._result_path(folder) for folder in self.folders]
-        return [read_json(path) for path in paths if path.exists()]
+        return [result for folder in self.folders if (result := self._result(folder))]
 
     def write_results(self) -> dict:
         """Write sweep.json and sweep.md; returns the former."""
@@ -152,26 +161,13 @@ class Sweep:
                     shown = time.monotonic()
         return ""
 
-    def _job(self, run: SweepRun, folder: Path, on_event: OnEvent | None, prepare: Prepare | None, gpus: float) -> Job:
-        arguments = {"run": run, "folder": folder, "prepare": prepare, "on_event": on_event}
-        compute = run.settings.compute
-        return Job(run.label, train_run, arguments, **resources(compute.threads, compute.device, gpus))
-
-    def _require_names(self) -> None:
-        """Refuse the results of earlier versions, which were not named by content. InputError."""
-        results = self.out / "results"
-        if any(not _NAME.fullmatch(path.stem) for path in results.glob("*.json")):
-            raise InputError(
-                f"{self.out}: holds the results of a sweep by an earlier version, which sweep.md lists; choose another "
-                "--out"
-            )
-
-    def _is_done(self, folder: Path) -> bool:
-        path = self._result_path(folder)
-        return path.exists() and "error" not in read_json(path)
-
     def _result_path(self, folder: Path) -> Path:
         return self.out / "results" / f"{folder.name}.json"
+
+    def _result(self, folder: Path) -> dict:
+        """Read what came of a run; {} before it has ended."""
+        path = self._result_path(folder)
+        return read_json(path) if path.exists() else {}
 
 
 def _figures(folder: Path) -> dict:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,9 +23,8 @@ from cloak_core.files.likeness import (
     similar_looks,
     similar_poses,
 )
-from cloak_core.files.reading import is_number, read_json
+from cloak_core.files.reading import is_number
 from cloak_core.files.specs import require_named
-from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, Picture
 from cloak_core.sources.bodies.selection import split_selection
 from cloak_core.sources.photographs.people import Person
@@ -124,24 +120,6 @@ def read_history(run: Path) -> History:
 
 def _points(steps: list[dict], key: str) -> list[tuple[float, float]]:
     return [(float(e["step"]), float(e[key])) for e in steps if is_number(e.get(key))]
-
-
-@contextmanager
-def clocked(folder: Path) -> Iterator[None]:
-    """Add the processor time of what happens inside to the run's `cost.json`; skip runs begun without a clock."""
-    earlier = cpu_seconds(folder) if (folder / "cost.json").exists() else 0.0
-    started, known = time.process_time(), not folder.exists() or (folder / "cost.json").exists()
-    try:
-        yield
-    finally:
-        if known and folder.exists():
-            write_json(folder / "cost.json", {"cpu_seconds": round(earlier + time.process_time() - started, 2)})
-
-
-def cpu_seconds(folder: Path) -> float:
-    """Read the processor time of a run, all threads; nan where it was not measured."""
-    path = folder / "cost.json"
-    return float(read_json(path)["cpu_seconds"]) if path.exists() else math.nan
 
 
 def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,10 +25,11 @@ from cloak_core.core.training import RunResult
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
 from cloak_core.files.locks import lock
-from cloak_core.files.writing import remove_leftovers, written
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import remove_leftovers, write_json, written
 from cloak_core.sources.photographs.fits import Fits
 from cloak_core.studies.opening import run_pattern
-from cloak_core.studies.trained_run import clocked, cpu_seconds, read_history
+from cloak_core.studies.trained_run import read_history
 from cloak_core.studies.trainings.run_record import Training, device_kind
 from cloak_core.studies.trainings.training import train, training_config
 
@@ -35,6 +37,8 @@ _log = logging.getLogger("cloak")
 TRAINING_VERSION = 5
 """Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
 objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
+COST = "cost.json"
+"""In a run's folder: its processor time."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")
 
 
@@ -68,15 +72,14 @@ class TrainingStore:
         self._hashes: dict[tuple, str] = {}
 
     def folder(self, training: Training, label: str = "") -> Path:
-        """Name the folder of a training by its content, behind a label for people. InputError: a file it names."""
-        key = self.training_key(training)
-        return self.out / "runs" / (f"{label}-{key}" if label else key)
+        """Name the folder of a training by all that decides its colours, behind a label for people.
 
-    def training_key(self, training: Training) -> str:
-        """Hash everything that decides a training's colours."""
+        InputError: a file that it names cannot be read.
+        """
         settings = decisive({"settings": settings_record(training.settings)}, ("settings",))
         record = settings | {"inputs": self._inputs_hash(training), "training": TRAINING_VERSION}
-        return content_key(record, training.settings.compute.device)
+        key = content_key(record, training.settings.compute.device)
+        return self.out / "runs" / (f"{label}-{key}" if label else key)
 
     def is_done(self, folder: Path) -> bool:
         """Tell whether a run ended by itself."""
@@ -94,8 +97,7 @@ class TrainingStore:
                 if result.stopped:
                     raise Stopped(f"{folder}: stopped at step {result.step}: {result.stopped}")
         pattern = run_pattern(folder, training.logo, training.bodies)
-        seconds = read_history(folder).seconds
-        return Trained(pattern, folder, seconds, cpu_seconds(folder), training.settings)
+        return Trained(pattern, folder, read_history(folder).seconds, _cpu_seconds(folder), training.settings)
 
     def go_on(self, training: Training, folder: Path) -> RunResult:
         """Train into its folder, from where it is, and tell how that ended; of a complete run, how it had ended."""
@@ -103,8 +105,15 @@ class TrainingStore:
             return self._go_on(training, folder)
 
     def _go_on(self, training: Training, folder: Path) -> RunResult:
-        with clocked(folder):
+        clock = folder / COST
+        is_clocked = not folder.exists() or clock.exists()  # what was begun without a clock gets none
+        earlier, began = _cpu_seconds(folder), time.process_time()
+        try:
             return train(**vars(training), out=folder, resume=True, on_event=self.on_event, alone=self.alone)
+        finally:
+            if is_clocked and folder.exists():
+                spent = time.process_time() - began + (0.0 if math.isnan(earlier) else earlier)
+                write_json(clock, {"cpu_seconds": round(spent, 2)})
 
     @contextlib.contextmanager
     def locked(self, folder: Path) -> Iterator[None]:
@@ -130,6 +139,12 @@ class TrainingStore:
             record["packages"] = [detector["packages"] for detector in config["detectors"]]
             self._hashes[place] = sha256_record(record)
         return self._hashes[place]
+
+
+def _cpu_seconds(folder: Path) -> float:
+    """Read the processor time of a run, all threads; nan where it was not measured."""
+    path = folder / COST
+    return float(read_json(path)["cpu_seconds"]) if path.exists() else math.nan
 
 
 def content_key(record: Mapping[str, object], device: str) -> str:

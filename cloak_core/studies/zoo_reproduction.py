@@ -102,15 +102,10 @@ def _backgrounds(found: Entry, files: Files, whose: str) -> Backgrounds:
 def _detector(spec: str, files: Files, whose: str, device: str) -> Detector:
     """Load a recorded detector, or the one that the caller names in its place."""
     named = next((ours for ours in files.detectors if without_folders(ours) == spec), None)
-    if named is not None:
-        return load_detector(named, device=device)
-    require_named([spec], whose)
-    return load_detector(_placed(spec, files, whose), device=device)
-
-
-def _placed(spec: str, files: Files, whose: str) -> str:
-    """Put the folders before the files of a spec."""
-    return _FILE.sub(lambda name: str(files.find(name[0], whose)), spec)
+    if named is None:
+        require_named([spec], whose)
+        named = _FILE.sub(lambda name: str(files.find(name[0], whose)), spec)
+    return load_detector(named, device=device)
 
 
 def _settings(recorded: dict, most_images: int | None) -> EvaluateSettings:
@@ -126,11 +121,8 @@ def _holds(old: dict, new: dict) -> bool:
     for rate, interval in (("success", "ci95"), ("success_own", "ci95_own")):
         if old.get(rate) is None or new.get(rate) is None or not old.get(interval):
             continue
-        if not (_within(new[rate], old[interval]) or _within(old[rate], new[interval])):
+        # Records have six decimals.
+        within = lambda value, bounds: bounds[0] - 1e-6 <= value <= bounds[1] + 1e-6
+        if not (within(new[rate], old[interval]) or within(old[rate], new[interval])):
             return False
     return True
-
-
-def _within(rate: float, interval: list[float]) -> bool:
-    low, high = interval
-    return low - 1e-6 <= rate <= high + 1e-6  # records have six decimals

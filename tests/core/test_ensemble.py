@@ -161,11 +161,13 @@ def test_join_detections_pads():
 
 
 @pytest.mark.slow
-def test_runs_with_every_technique_resume_to_the_same_bits(tmp_path):
-    changes = {
-        "ensemble": "adaptive", "shake": 0.3, "cutout": 0.5, "crop": 0.2, "pad": 0.2, "blur": 1.0, "optimizer": "mi",
-        "momentum": 0.5, "smooth": 2, "preview_every": 0,
-    }  # fmt: skip
+@pytest.mark.parametrize("changes", [
+    {"ensemble": "adaptive", "shake": 0.3, "cutout": 0.5, "crop": 0.2, "pad": 0.2, "blur": 1.0, "optimizer": "mi",
+     "momentum": 0.5, "smooth": 2},
+    {"octaves": 3, "gamut": "sigmoid", "initial": "balls", "initial_share": 0.5},
+])  # fmt: skip
+def test_runs_with_every_technique_resume_to_the_same_bits(tmp_path, changes):
+    changes |= {"preview_every": 0}
     detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]
     whole = run(tmp_path / "whole", detectors, snapshot_every=3, **changes)
     kept = [np.load(tmp_path / "whole" / "snapshots" / f"step-{step:08d}.npy") for step in (3, 6)]

@@ -18,7 +18,7 @@ def test_the_sheet_marks_who_is_hidden(tmp_path: Path) -> None:
     image = Image.new("RGB", (96, 96), (90, 90, 90))
     box = {"detector": 0, "score": 0.9, **dict(zip(CORNERS, (10.0, 10.0, 60.0, 90.0), strict=True))}
     found = pd.DataFrame([box])
-    album = Album(tmp_path, ["a.jpg#1", "b.jpg#2"], [0.5], ["onnx:models/net.onnx"])
+    album = Album(tmp_path, ["a.jpg#1", "b.jpg#2"], {"onnx:models/net.onnx": 0.5})
     for clothes, boxes in {"clothing": (found, found), "red@tile=0.5": (found, found.assign(score=0.4))}.items():
         for person in (0, 1):
             album.add(clothes, person, image, boxes[person])
@@ -37,7 +37,7 @@ def test_the_sheet_marks_who_is_hidden(tmp_path: Path) -> None:
 def test_the_sheet_counts_those_whom_it_does_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda _, place, words, *more, **options: said.append(words))
-    album = Album(tmp_path, [f"{k}.jpg" for k in range(19)], [0.5])
+    album = Album(tmp_path, [f"{k}.jpg" for k in range(19)], {"net": 0.5})
     nobody = pd.DataFrame(columns=["detector", "score", *CORNERS])
     for person in range(19):
         album.add("grey", person, Image.new("RGB", (8, 8)), nobody)

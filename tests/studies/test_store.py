@@ -97,11 +97,11 @@ def test_a_training_is_its_key_where_a_run_folder_goes_on(split: DataSplit, tmp_
         replace(base, backgrounds=split.unseen_backgrounds),
         *with_palettes,
     ]
-    keys = {store.training_key(training) for training in (base, *others)}
+    keys = {store.folder(training) for training in (base, *others)}
     assert len(keys) == 1 + len(others)
     for free in ({"preview_every": 7}, {"max_seconds": 5.0}):
         again = replace(base, settings=settings.changed(**free))
-        assert store.training_key(again) == store.training_key(base)
+        assert store.folder(again) == store.folder(base)
         check_same(training_config(base), training_config(again), tmp_path)
     for other in others:
         with pytest.raises(InputError, match="was started with"):

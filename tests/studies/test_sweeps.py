@@ -186,14 +186,6 @@ def test_a_folder_has_one_sweep_at_a_time(tmp_path, runs):
         Sweep(runs, tmp_path / "out").run()
 
 
-def test_what_a_run_takes(tmp_path, runs):
-    sweep = Sweep(runs, tmp_path / "out")
-    large = dataclasses.replace(runs[0], settings=runs[0].settings.changed(threads=4, device="cuda:0"))
-    small_job, large_job = (sweep._job(run, tmp_path, None, None, 0.5) for run in (runs[0], large))
-    assert (small_job.cores, small_job.gpus) == (1, 0)
-    assert (large_job.cores, large_job.gpus) == (4, 0.5)
-
-
 def test_a_grid_that_cannot_be_opened_is_refused_before_anything_is_trained(tmp_path):
     text = BASE.replace("chest.npy", str(tmp_path / "absent.npy")) + "[grid]\nlr = [1]\n"
     with pytest.raises(InputError, match=r"absent\.npy"):

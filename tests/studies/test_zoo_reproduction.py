@@ -32,7 +32,7 @@ def test_an_entry_is_judged_on_the_images_of_its_record() -> None:
         evaluate_again(small, Files(), None, "cpu", None)
 
 
-def test_what_does_not_ship_is_asked_for_by_name(tmp_path: Path) -> None:
+def test_what_does_not_ship_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"bodies_anny\.npz, which zoo:ssd-anny was judged with, does not ship"):
         evaluate_again(entry("ssd-anny"), Files(), None, "cpu", None)
     with pytest.raises(InputError, match=r"bodies_anny\.npz, .* is not in "):
@@ -40,9 +40,10 @@ def test_what_does_not_ship_is_asked_for_by_name(tmp_path: Path) -> None:
     (tmp_path / "deep").mkdir()
     for name in ("a-1.2.cfg", "a_3.weights"):
         (tmp_path / "deep" / name).write_bytes(b"")
-    placed = zoo_reproduction._placed("darknet:a-1.2.cfg:a_3.weights@224,conf=0.25", Files(tmp_path), "zoo:a")
+    monkeypatch.setattr(zoo_reproduction, "load_detector", lambda spec, device: spec)
+    placed = zoo_reproduction._detector("darknet:a-1.2.cfg:a_3.weights@224,conf=0.25", Files(tmp_path), "zoo:a", "cpu")
     assert placed == f"darknet:{tmp_path}/deep/a-1.2.cfg:{tmp_path}/deep/a_3.weights@224,conf=0.25"
-    assert zoo_reproduction._placed("builtin@conf=0.5", Files(), "zoo:a") == "builtin@conf=0.5"
+    assert zoo_reproduction._detector("builtin@conf=0.5", Files(), "zoo:a", "cpu") == "builtin@conf=0.5"
 
 
 def test_a_figure_holds_within_either_interval() -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from cloak_core.core.optimizer import ColorOptimizer
-from cloak_core.core.settings import PRESETS, make_settings
+from cloak_core.core.settings import make_settings
 from cloak_core.core.technique import Techniques
 from cloak_core.files.errors import InputError
 from cloak_core.techniques.inks import Inks
@@ -46,22 +46,3 @@ def test_only_a_print_is_worth_a_share(initial):
         make_settings("photographs", initial=initial)
     assert make_settings("photographs", initial=initial, initial_share=0).optimization.initial_share == 0
     assert make_settings("photographs", initial=initial, init="run").optimization.initial_share > 0
-
-
-@pytest.mark.slow
-def test_a_run_is_resumed_to_the_bit(tmp_path):
-    from cloak_core.studies.trainings.training import train
-    from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
-
-    bodies = box_bodies()
-    chosen = {"batch": 2, "size": 64, "translation": 5, "samples": 1, "steps": 6, "initial": "balls"}
-
-    def run(name: str, resume: bool = False, share: float = PRESETS["photographs"]["initial_share"], **more: object):
-        settings = make_settings("best", **chosen, initial_share=share, **more)
-        given = (settings, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds())
-        return train(*given, tmp_path / name, resume=resume)
-
-    whole = run("whole")
-    run("parts", max_seconds=1e-9)
-    assert np.array_equal(run("parts", resume=True).colors, whole.colors)
-    assert np.abs(whole.colors - run("plain", share=0.0).colors).max() > 1e-3

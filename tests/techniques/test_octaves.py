@@ -46,25 +46,3 @@ def test_the_gradient_is_the_transpose():
 def test_octaves_need_a_sigmoid():
     with pytest.raises(InputError, match=r"--octaves.*--gamut sigmoid"):
         make_settings("best", octaves=3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "pattern", [{}, {"pattern": "tile", "tile_cm": 50}, {"pattern": "camouflage", "feature_cm": 30}]
-)
-def test_a_run_with_octaves_is_resumed_to_the_bit(tmp_path, pattern):
-    from cloak_core.studies.trainings.training import train
-    from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
-
-    bodies = box_bodies()
-    chosen = {"batch": 2, "size": 64, "translation": 5, "samples": 1, "octaves": 3, "gamut": "sigmoid", **pattern}
-
-    def run(name: str, resume: bool = False, **more: object):
-        settings = make_settings("best", **chosen, **more)
-        given = (settings, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds())
-        return train(*given, tmp_path / name, resume=resume)
-
-    whole = run("whole", steps=6)
-    run("parts", steps=6, max_seconds=1e-9)
-    assert np.array_equal(run("parts", steps=6, resume=True).colors, whole.colors)
-    assert np.abs(whole.colors - 0.5).max() > 1e-3

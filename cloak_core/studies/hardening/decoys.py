@@ -45,7 +45,7 @@ class FlatCloth:
         self._face = front[cKDTree(points).query(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))[1]]
 
     def texture(self, colors: Float32[np.ndarray, "L 3"]) -> Texture:
-        """The texture in these colours."""
+        """Give the texture in these colours."""
         return np.ascontiguousarray(colors[self._face].T.reshape(3, TEXTURE, TEXTURE))
 
 
@@ -98,16 +98,6 @@ class Layer:
     place: Float[Tensor, "h w 2"]
     """What each pixel shows of the texture, -1 to 1 across and down."""
 
-    def laid_on(
-        self, picture: Float[Tensor, "3 H W"], texture: Texture, light: Float[Tensor, "H W"]
-    ) -> Float[Tensor, "3 h w"]:
-        """The picture's area with the cloth in this light on it."""
-        grid = self.place.nan_to_num(-1)[None]
-        cloth = F.grid_sample(
-            torch.from_numpy(np.array(texture))[None], grid, padding_mode="border", align_corners=False
-        )[0]
-        return picture[:, *self.area] * (1 - self.alpha) + (cloth * light[self.area]).clamp(0, 1) * self.alpha
-
 
 def draw_decoy(
     picture: Float[Tensor, "3 H W"],
@@ -142,26 +132,29 @@ def draw_decoy(
     for layer in layers:
         if len(layers) > 3 and rng.random() < 0.5:  # a rack holds different garments
             texture = next(textures)
-        bright = light * float(rng.uniform(0.6, 1.0))
-        shown[:, *layer.area] = layer.laid_on(shown, texture, bright)
+        bright = (light * float(rng.uniform(0.6, 1.0)))[layer.area]
+        colors, grid = torch.from_numpy(np.array(texture))[None], layer.place.nan_to_num(-1)[None]
+        cloth = F.grid_sample(colors, grid, padding_mode="border", align_corners=False)[0]
+        under = shown[:, *layer.area] * (1 - layer.alpha)
+        shown[:, *layer.area] = under + (cloth * bright).clamp(0, 1) * layer.alpha
     return shown
 
 
 def _panel(rng: np.random.Generator, height: int, width: int) -> list[Quad]:
-    """An upright rectangle of about a person's proportions, slightly askew."""
+    """Draw an upright rectangle of about a person's proportions, slightly askew."""
     tall = rng.uniform(0.25, 0.95) * height
     wide = tall / rng.uniform(1.0, 3.5)
     return [_quad(rng, rng.uniform(0, width), height / 2 + rng.normal() * height / 8, wide, tall, 0.08)]
 
 
 def _curtain(rng: np.random.Generator, height: int, width: int) -> list[Quad]:
-    """A wall or curtain over a large part of the picture."""
+    """Draw a wall or curtain over a large part of the picture."""
     wide, tall = rng.uniform(0.4, 1.2) * width, rng.uniform(0.5, 1.2) * height
     return [_quad(rng, rng.uniform(0.2, 0.8) * width, rng.uniform(0.3, 0.7) * height, wide, tall, 0.04)]
 
 
 def _box(rng: np.random.Generator, height: int, width: int) -> list[Quad]:
-    """Two sides of a box that share an upright edge."""
+    """Draw two sides of a box that share an upright edge."""
     x, top, tall = rng.uniform(0.2, 0.8) * width, rng.uniform(0.1, 0.6) * height, rng.uniform(0.2, 0.7) * height
     sides, slope = rng.uniform(0.08, 0.35, 2) * width, rng.uniform(0.0, 0.15) * height
     left, right = x - sides[0], x + sides[1]
@@ -172,14 +165,14 @@ def _box(rng: np.random.Generator, height: int, width: int) -> list[Quad]:
 
 
 def _rack(rng: np.random.Generator, height: int, width: int) -> list[Quad]:
-    """Garments side by side, as on a clothes rack."""
+    """Draw garments side by side, as on a clothes rack."""
     count, tall = int(rng.integers(4, 9)), rng.uniform(0.2, 0.5) * height
     wide, x, y = tall * rng.uniform(0.25, 0.5), rng.uniform(0, 0.5) * width, rng.uniform(0.3, 0.7) * height
     return [_quad(rng, x + k * wide * 0.9, y, wide, tall * rng.uniform(0.85, 1.1), 0.06) for k in range(count)]
 
 
 def _patch(rng: np.random.Generator, height: int, width: int) -> list[Quad]:
-    """A patch on whatever the picture shows there."""
+    """Draw a patch on whatever the picture shows there."""
     side = rng.uniform(0.08, 0.35) * height
     turned = side * rng.uniform(0.6, 1.6)
     return [_quad(rng, rng.uniform(0, width), rng.uniform(0.1, 0.9) * height, side, turned, 0.2)]
@@ -198,7 +191,7 @@ def _quad(rng: np.random.Generator, x: float, y: float, wide: float, tall: float
 
 
 def _covers(alpha: Float[Tensor, "H W"], boxes: Sequence[Sequence[float]]) -> bool:
-    """Whether more than a tenth of any box is hidden."""
+    """Tell whether more than a tenth of any box is hidden."""
     height, width = alpha.shape
     for x0, y0, x1, y1 in boxes:
         part = alpha[max(0, int(y0)) : min(height, int(y1) + 1), max(0, int(x0)) : min(width, int(x1) + 1)]
@@ -208,7 +201,7 @@ def _covers(alpha: Float[Tensor, "H W"], boxes: Sequence[Sequence[float]]) -> bo
 
 
 def _layer(quad: Quad, height: int, width: int) -> Layer:
-    """A quad of cloth, as far as the picture shows it."""
+    """Map a quad of cloth, as far as the picture shows it."""
     low, high = np.floor(quad.min(0)), np.ceil(quad.max(0))
     (left, top), (right, bottom) = np.clip([low, high], 0, (width, height)).astype(int)
     y, x = np.mgrid[top + 0.5 : bottom, left + 0.5 : right]
@@ -220,7 +213,7 @@ def _layer(quad: Quad, height: int, width: int) -> Layer:
 
 
 def _dummy(silhouette: Float[Tensor, "H W"]) -> Layer:
-    """A body without head and lower legs: a garment on a dummy, cut of a cloth over the whole picture."""
+    """Cut a body without head and lower legs: a garment on a dummy, cut of a cloth over the whole picture."""
     height, width = silhouette.shape
     whole = _layer(np.array([[0, 0], [width, 0], [width, height], [0, height]], float), height, width)
     rows = torch.nonzero(silhouette.amax(1) > 0.5).flatten()
@@ -234,7 +227,7 @@ def _dummy(silhouette: Float[Tensor, "H W"]) -> Layer:
 
 
 def _folds(rng: np.random.Generator, height: int, width: int) -> Float[Tensor, "H W"]:
-    """Light and dark of hanging cloth: a few vertical waves, or none."""
+    """Draw light and dark of hanging cloth: a few vertical waves, or none."""
     if rng.random() < 0.4:
         return torch.ones(height, width)
     x = np.arange(width) / width
@@ -243,7 +236,7 @@ def _folds(rng: np.random.Generator, height: int, width: int) -> Float[Tensor, "
 
 
 def _shading(picture: Float[Tensor, "3 H W"], rng: np.random.Generator) -> Float[Tensor, "H W"]:
-    """The picture's own light on the cloth, in half of the cases: its luminance over its mean."""
+    """Measure the picture's own light on the cloth, in half of the cases: its luminance over its mean."""
     if rng.random() < 0.5:
         return torch.ones(picture.shape[1:])
     luminance = picture.mean(0)

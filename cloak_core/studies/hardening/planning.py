@@ -25,10 +25,11 @@ HELD = 480, 2800
 """Fewest and most updates with which a detector of docs/hardening.md withstood cloaks."""
 
 
-def plan(settings: HardenSettings, pace: float, hours: float) -> HardenSettings:
+def plan(settings: HardenSettings, pace: float, hours: float) -> tuple[HardenSettings, str, str]:
     """Choose the number of updates that take `hours`, at `pace` seconds each.
 
-    InputError: fewer than `LEAST_STEPS` updates fit.
+    Also says, in a line each, what is planned, and warns of a plan that is shorter than any that held ("" where it is
+    not). InputError: fewer than `LEAST_STEPS` updates fit.
     """
     steps = int(3600 * hours * (1 - KEPT_BACK) / pace)
     if steps < LEAST_STEPS:
@@ -37,7 +38,12 @@ def plan(settings: HardenSettings, pace: float, hours: float) -> HardenSettings:
             f"--hours {hours:g}: {steps} updates of {pace:.2g} s fit, which hardens nothing; "
             f"{LEAST_STEPS} take {least:.2g} hours, and the default {HardenSettings.steps} are better"
         )
-    return replace(settings, steps=steps)
+    least, most = HELD
+    planned = f"--hours {hours:g}: {steps} updates of {pace:.2g} s ({steps * pace / 60:.0f} min)"
+    needed = least * pace / (1 - KEPT_BACK) / 3600
+    few = f"{steps} updates are fewer than any detector withstood cloaks with: {least} take {needed:.2g} hours"
+    words = f"{planned}; detectors that withstood cloaks had {least} to {most}"
+    return replace(settings, steps=steps), words, few if steps < least else ""
 
 
 def measure_pace(
@@ -68,18 +74,3 @@ def recorded_plan(settings: HardenSettings, out: Path) -> HardenSettings:
     if not isinstance(steps, int):
         raise InputError(f"{out / 'config.json'}: does not say its number of updates (settings.steps)")
     return replace(settings, steps=steps)
-
-
-def planned_words(settings: HardenSettings, pace: float, hours: float) -> str:
-    """Say what a plan does and what it is worth, in one line."""
-    least, most = HELD
-    planned = f"--hours {hours:g}: {settings.steps} updates of {pace:.2g} s ({settings.steps * pace / 60:.0f} min)"
-    return f"{planned}; detectors that withstood cloaks had {least} to {most}"
-
-
-def too_few_words(settings: HardenSettings, pace: float) -> str:
-    """Warn, in one line, of a plan that is shorter than any that held; "" where it is not."""
-    least = HELD[0]
-    hours = least * pace / (1 - KEPT_BACK) / 3600
-    few = f"{settings.steps} updates are fewer than any detector withstood cloaks with: {least} take {hours:.2g} hours"
-    return few if settings.steps < least else ""

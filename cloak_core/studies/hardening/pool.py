@@ -139,7 +139,10 @@ class Pool:
             # What is composed next draws into the same memory.
             cloaked = batch.images(cloak.optimizer.colors()).clone()
             clean = self._clean(cloak, generation, turn)
-        self._remember(slot, cloak)
+            colors, faces = cloak.face_colors(), torch.from_numpy(cloak.logo.face_ids).to(self.device)
+            skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
+            skin[faces] = torch.from_numpy(colors).to(self.device)
+            self.recent = [*self.recent, cloak.flat.texture(colors)][-KEPT:]
         return Turn(cloaked, clean, figures, cloak, batch)
 
     def _clean(self, cloak: Cloak, generation: int, turn: int) -> Float[Tensor, "B 3 H W"]:
@@ -155,13 +158,6 @@ class Pool:
             moved = shift[None].to(self.device) * view.subject.is_alone
             images.append(dressed([view], own, rows, moved).paint(clothing[: len(view.own)])[0])
         return torch.stack(images)
-
-    @torch.no_grad()
-    def _remember(self, slot: int, cloak: Cloak) -> None:
-        skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
-        colors = cloak.face_colors()
-        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = torch.from_numpy(colors).to(self.device)
-        self.recent = [*self.recent, cloak.flat.texture(colors)][-KEPT:]
 
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint."""

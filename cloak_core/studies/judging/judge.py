@@ -96,7 +96,8 @@ def look(
     for done, (file, people) in enumerate(by_file.items()):
         seen = []
         try:
-            for number, shown in enumerate(_read(folder / file, settings)):
+            for number, frame in enumerate(_read(folder / file, settings)):
+                shown = _reduced(frame, settings.longest)
                 seen.append(_look_at((file, number * settings.every), *shown, people, detectors, settings))
         except InputError as error:
             seen = []  # half a video
@@ -118,20 +119,16 @@ def _compared(rows: pd.DataFrame, detectors: Sequence[str]) -> pd.DataFrame:
     table = rows.astype({"distance": float, "score": np.float32, "other": np.float32})
     by_detector = [table[(table["detector"] == spec).to_numpy()].reset_index(drop=True) for spec in detectors]
     partners, garment = find_partners(by_detector[0]), by_detector[0]["garment"].to_numpy()
-    compared = [
-        _without_own(one, partners).assign(clean=clean_scores(one["score"].to_numpy(), garment, partners))
-        for one in by_detector
-    ]
+    compared = []
+    for one in by_detector:
+        # Another class that is reported on the same person without the cloak, too, is left out: a bag is no new name.
+        names, other = one["other_name"].to_numpy(), one["other"].to_numpy()
+        reported = other > np.minimum(one["operating_point"].to_numpy(), THRESHOLD)
+        own = [bool(name) and name in names[p[reported[p]]] for name, p in zip(names, partners, strict=True)]
+        own &= garment != WITHOUT
+        changed = one.assign(other=np.where(own, np.float32(0), other), other_name=np.where(own, "", names))
+        compared.append(changed.assign(clean=clean_scores(one["score"].to_numpy(), garment, partners)))
     return pd.concat(compared, ignore_index=True).astype({"clean": np.float32})
-
-
-def _without_own(rows: pd.DataFrame, partners: Sequence[np.ndarray]) -> pd.DataFrame:
-    """Leave out another class that is reported on the same person without the cloak, too: a bag is no new name."""
-    names, other = rows["other_name"].to_numpy(), rows["other"].to_numpy()
-    reported = other > np.minimum(rows["operating_point"].to_numpy(), THRESHOLD)
-    own = [bool(name) and name in names[p[reported[p]]] for name, p in zip(names, partners, strict=True)]
-    own &= (rows["garment"] != WITHOUT).to_numpy()
-    return rows.assign(other=np.where(own, np.float32(0), other), other_name=np.where(own, "", names))
 
 
 def _look_at(
@@ -152,7 +149,9 @@ def _look_at(
             label = vars(one) | {"place": one.place, "boxed": one.box is not None, "frame": named[1]}
             told = {"detector": spec, "operating_point": point, "other": math.nan, "other_name": ""}
             rows.append(label | told | _scores(detector, found, one.box, scale, settings.iou))
-    return Picture(*named, image.shape[1], image.shape[0], scale, boxes, _thumbnail(image)), rows
+    small = Image.fromarray(image)
+    small.thumbnail((THUMBNAIL, THUMBNAIL))
+    return Picture(*named, image.shape[1], image.shape[0], scale, boxes, jpeg_uri(small, quality=88)), rows
 
 
 def _scores(detector: Detector, found: Detections, box: tuple | None, scale: float, iou: float) -> dict:
@@ -165,29 +164,23 @@ def _scores(detector: Detector, found: Detections, box: tuple | None, scale: flo
     return {name: values[0] for name, values in told.items()}
 
 
-def _read(path: Path, settings: JudgeSettings) -> Iterator[tuple[UInt8[np.ndarray, "h w 3"], float]]:
-    """Read a photograph, or every `settings.every`-th frame of a video, upright and reduced; yield it and its scale."""
+def _read(path: Path, settings: JudgeSettings) -> Iterator[Image.Image]:
+    """Read a photograph, upright, or every `settings.every`-th frame of a video."""
     if path.suffix.lower() in videos.SUFFIXES:
-        for frame in videos.read_frames(path, settings.every, settings.most_frames):
-            yield _reduced(Image.fromarray(frame), settings.longest)
+        yield from map(Image.fromarray, videos.read_frames(path, settings.every, settings.most_frames))
     else:
         with open_picture(path) as picture:
             upright = ImageOps.exif_transpose(picture).convert("RGB")
-        yield _reduced(upright, settings.longest)
+        yield upright
 
 
-def _reduced(picture: Image.Image, longest: int) -> tuple[np.ndarray, float]:
+def _reduced(picture: Image.Image, longest: int) -> tuple[UInt8[np.ndarray, "h w 3"], float]:
+    """Make a picture's longer side at most `longest` pixels; also the scale."""
     scale = min(1.0, longest / max(picture.size))
     if scale < 1:
         size = tuple(max(1, round(side * scale)) for side in picture.size)
         picture = picture.resize(size, Image.Resampling.BOX if scale < 0.5 else Image.Resampling.LANCZOS)
     return np.array(picture), scale
-
-
-def _thumbnail(image: np.ndarray) -> str:
-    small = Image.fromarray(image)
-    small.thumbnail((THUMBNAIL, THUMBNAIL))
-    return jpeg_uri(small, quality=88)
 
 
 def _table_text(rows: pd.DataFrame) -> str:

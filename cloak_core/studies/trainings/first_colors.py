@@ -10,7 +10,7 @@ from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.places import face_places
-from cloak_core.core.prints import PRINT_METRES, PRINTS, Print
+from cloak_core.core.prints import PRINT_METRES, PRINTS
 from cloak_core.core.settings.components import OptimizerSettings
 from cloak_core.exchange.bodies import Bodies
 
@@ -36,7 +36,12 @@ def first_colors(
     """Make a pattern's first colours: grey, seeded random ones, the first outfit's, an animal's face, or a print."""
     logo = pattern.cover
     if settings.initial in PRINTS:
-        return _printed(PRINTS[settings.initial], pattern, bodies)
+        plain = PRINTS[settings.initial]
+        if not pattern.period:
+            return pattern.from_faces(plain.at(face_places(bodies, logo).at.T.double().numpy()))
+        # What repeats shows as many whole pieces as come closest to their own size.
+        pieces = max(1, round(pattern.period / PRINT_METRES))
+        return plain.at(pattern.centres / pattern.period * pieces * PRINT_METRES)
     if settings.initial == "clothing":
         colors = bodies.face_colors[0, logo.face_ids]
     elif settings.initial == "animal":
@@ -46,14 +51,6 @@ def first_colors(
     else:
         colors = np.full((len(logo), 3), 0.5, np.float32)
     return pattern.from_faces(colors)
-
-
-def _printed(plain: Print, pattern: Pattern, bodies: Bodies) -> Float[np.ndarray, "C 3"]:
-    """Print colours: of what repeats as many whole pieces as come closest to their own size, else at each face."""
-    if not pattern.period:
-        return pattern.from_faces(plain.at(face_places(bodies, pattern.cover).at.T.double().numpy()))
-    pieces = max(1, round(pattern.period / PRINT_METRES))
-    return plain.at(pattern.centres / pattern.period * pieces * PRINT_METRES)
 
 
 def animal_face(bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"]:

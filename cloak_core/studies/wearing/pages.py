@@ -6,7 +6,7 @@ They show real people: none of them is ever published with the project.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +44,18 @@ class Album:
     every picture stands whether she is found or hidden.
     """
 
-    def __init__(
-        self, folder: Path, people: Sequence[str], thresholds: Sequence[float], detectors: Sequence[str] = ()
-    ) -> None:
-        """thresholds: each detector's own; boxes above it are drawn. detectors: their names, for the sheet's legend."""
+    def __init__(self, folder: Path, people: Sequence[str], thresholds: Mapping[str, float]) -> None:
+        """thresholds: each detector's own, by its spec; boxes above it are drawn."""
         self._folder, self._people, self._thresholds = folder, people, thresholds
-        self._detectors = [short_name(spec) for spec in detectors]
         step = max(1, len(people) // SHEET_PEOPLE)
         self._shown = list(range(0, len(people), step))[:SHEET_PEOPLE]
         self._tiles: dict[str, dict[int, Image.Image]] = {}
         self._scores: dict[str, list[float | None]] = {}
+
+    def add_all(self, clothes: str, people: np.ndarray, images: Float[Tensor, "B 3 H W"], boxes: pd.DataFrame) -> None:
+        """Write the images of these people in the same clothes; see `OnImages`."""
+        for person, image in zip(people.tolist(), images, strict=True):
+            self.add(clothes, person, to_pil(image), boxes[(boxes["image"] == person).to_numpy()])
 
     def add(self, clothes: str, person: int, image: Image.Image, boxes: pd.DataFrame) -> None:
         """Write one image, with each detector's boxes in a colour of its own; boxes: as in `Results.boxes`."""
@@ -71,15 +73,10 @@ class Album:
         if person in self._shown:
             self._tiles.setdefault(clothes, {})[person] = _captioned(tile, best)
 
-    def add_all(self, clothes: str, people: np.ndarray, images: Float[Tensor, "B 3 H W"], boxes: pd.DataFrame) -> None:
-        """Write the images of these people in the same clothes; see `OnImages`."""
-        for person, image in zip(people.tolist(), images, strict=True):
-            self.add(clothes, person, to_pil(image), boxes[(boxes["image"] == person).to_numpy()])
-
     def _draw_boxes(self, picture: Image.Image, boxes: pd.DataFrame, scale: float) -> list[float | None]:
         """Draw what is above each detector's threshold; return the best score of each, None where she is hidden."""
         draw, best = ImageDraw.Draw(picture), []
-        for d, threshold in enumerate(self._thresholds):
+        for d, threshold in enumerate(self._thresholds.values()):
             above, color = (boxes["detector"] == d) & (boxes["score"] > threshold), COLORS[d % len(COLORS)]
             rows = boxes.loc[above, [*CORNERS, "score"]].to_numpy()
             for *corners, score in rows.tolist():
@@ -95,7 +92,13 @@ class Album:
         height = TILE + CAPTION + TITLE
         sheet = Image.new("RGB", (max(TILE * len(self._shown), 720), HEAD + height * len(self._tiles)), PAPER)
         draw = ImageDraw.Draw(sheet)
-        self._write_head(draw)
+        left = 6
+        for d, (spec, threshold) in enumerate(self._thresholds.items()):
+            words = f"{short_name(spec)}, boxes above {threshold:g}"
+            draw.text((left, 4), words, COLORS[d % len(COLORS)], font(15, bold=True))
+            left += round(draw.textlength(words, font(15, bold=True))) + 24
+        for column, person in enumerate(self._shown):
+            draw.text((column * TILE + 6, 28), self._people[person][-26:], INK, font(13))
         count = len(self._people)
         whose = "" if count == len(self._shown) else f" ({count} people judged, {len(self._shown)} of them shown)"
         for row, (name, tiles) in enumerate(self._tiles.items()):
@@ -107,17 +110,6 @@ class Album:
                 if person in tiles:
                     sheet.paste(tiles[person], (column * TILE, top + TITLE))
         save_picture(self._folder / "sheet.jpg", sheet, quality=88)
-
-    def _write_head(self, draw: ImageDraw.ImageDraw) -> None:
-        """Say who judges, in which colour, and who is shown."""
-        left = 6
-        for d, threshold in enumerate(self._thresholds):
-            name = self._detectors[d] if d < len(self._detectors) else f"detector {d + 1}"
-            words = f"{name}, boxes above {threshold:g}"
-            draw.text((left, 4), words, COLORS[d % len(COLORS)], font(15, bold=True))
-            left += round(draw.textlength(words, font(15, bold=True))) + 24
-        for column, person in enumerate(self._shown):
-            draw.text((column * TILE + 6, 28), self._people[person][-26:], INK, font(13))
 
 
 def _captioned(tile: Image.Image, best: Sequence[float | None]) -> Image.Image:

@@ -42,10 +42,8 @@ def pattern_specs(named: str) -> list[str]:
     InputError: names file and field, or what a folder lacks that is neither one of patterns nor a run.
     """
     path = Path(named)
-    if path.name == LIST:
-        return [pattern.spec for pattern in read_patterns(path.parent)]
-    if (path / LIST).is_file():
-        return [pattern.spec for pattern in read_patterns(path)]
+    if path.name == LIST or (path / LIST).is_file():
+        return [pattern.spec for pattern in read_patterns(path.parent if path.name == LIST else path)]
     if path.is_dir() and not (path / "config.json").exists():
         needs = f"{LIST} with a table for each picture, [name] with {', '.join(_FIELDS)}"
         raise InputError(f"{path}: no run (no config.json), and as a folder of patterns it lacks {needs}")

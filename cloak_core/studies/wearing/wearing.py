@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cloak_core.core.cameras import Number
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluate import Patterns, measure_frozen
 from cloak_core.core.evaluation.controls import NAMES, RESAMPLED, STANDARD
@@ -61,25 +60,19 @@ def wear_and_judge(
     for name in patterns:
         if len(patterns) < len(colors) or name in NAMES:
             raise InputError(f"{name}: given twice, or called as a control is")
-    patterns |= controls(CONTROLS, OwnClothing(cover), settings.seed) | _grey_headwear(cover)
+    patterns |= controls(CONTROLS, OwnClothing(cover), settings.seed)
+    head = np.intersect1d(cover.face_ids, select_region(sample_bodies(), "head"))
+    if len(head):
+        headwear = OwnClothing(Cover(head, cover.topology, name="headwear"))
+        patterns[GREY_HEADWEAR] = controls(("grey",), headwear)["grey"]
     more = {"cover": cover.name} | dict(more or {})
     if out is None:
         return _judged(patterns, people, detectors, backgrounds, settings, on_progress, None) | more
     require_new(out)
     with new_folder(out) as folder:
-        result = _judged(patterns, people, detectors, backgrounds, settings, on_progress, folder)
-        result |= more
+        result = _judged(patterns, people, detectors, backgrounds, settings, on_progress, folder) | more
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
-
-
-def _grey_headwear(cover: Cover) -> Patterns:
-    """Make `GREY_HEADWEAR` of what a cover has of the head; nothing where it has none."""
-    faces = np.intersect1d(cover.face_ids, select_region(sample_bodies(), "head"))
-    if not len(faces):
-        return {}
-    headwear = Cover(faces, cover.topology, name="headwear")
-    return {GREY_HEADWEAR: controls(("grey",), OwnClothing(headwear))["grey"]}
 
 
 def _judged(
@@ -95,22 +88,22 @@ def _judged(
     people, fits = fit_wearers(people, patterns.values())
     points = {spec: detector.operating_point for spec, detector in detectors.items()}
     images = people_images(fits, backgrounds, settings, next(iter(detectors.values())).device)
-    album = None if folder is None else Album(folder, images.body_names, list(points.values()), list(points))
+    album = None if folder is None else Album(folder, images.body_names, points)
     bare = np.arange(min(settings.bare, len(backgrounds)))
-    results, _ = measure_frozen(
-        images, patterns, detectors, settings, on_progress, None if album is None else album.add_all, bare
-    )
+    on_images = None if album is None else album.add_all
+    results, _ = measure_frozen(images, patterns, detectors, settings, on_progress, on_images, bare)
     if album is not None:
         album.write()
         write_text(folder / "scores.csv", _table(results, people))
+
+    def record(spec: str, name: str) -> dict:
+        """Count S of contract C8 with `seen_from`: the people seen from the front, from the side and from behind."""
+        rows = results.rows(spec, name)
+        counted = success_record(results, rows, settings.threshold) | side_record(rows, settings.threshold)
+        return counted | {"cover": patterns[name].cover.name}
+
     return {
-        "detectors": {
-            spec: {
-                name: _record(results, spec, name, settings.threshold) | {"cover": patterns[name].cover.name}
-                for name in results.controls
-            }
-            for spec in detectors
-        },
+        "detectors": {spec: {name: record(spec, name) for name in results.controls} for spec in detectors},
         "people": len(people),
         "photographs": len(people.photographs),
         "left_out": people.left_out,
@@ -118,12 +111,6 @@ def _judged(
         "operating_points": points,
         "fit": mean_quality(fits),
     }
-
-
-def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:
-    """Count S of contract C8 with `seen_from`: the people seen from the front, from the side and from behind."""
-    rows = results.rows(spec, name)
-    return success_record(results, rows, threshold) | side_record(rows, threshold)
 
 
 def _table(results: Results, people: People) -> str:

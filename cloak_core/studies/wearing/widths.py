@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def choose_widths(
     for option, given in (("--width-people", people), ("--width-detector", detectors)):
         if not given:
             raise InputError(f"{asked[0]}: needs {option}, on whom the width is chosen, and who does not judge")
-    _require_strangers(people, detectors, *judging)
+    _check_strangers(people, detectors, *judging)
     curves = {color: width_curve(color, people, detectors, backgrounds, settings, on_progress, logo) for color in asked}
     at_width = lambda color: color.replace(AUTO, f"@tile={curves[color]['chosen']:g}")
     return [at_width(color) if color in curves else color for color in colors], curves
@@ -65,31 +65,24 @@ def width_curve(
     Returns "detectors" {SPEC: {METRES: {"success", "success_own"}}}, "people", "photographs", and "chosen": the width
     in metres with the largest mean of both rates over the detectors, the narrower one of equals.
     """
-    opened = [open_pattern(color.replace(AUTO, f"@tile={metres:g}")) for metres in WIDTHS]
-    patterns = {name: pattern.on(clothes_cover(logo)) for pattern, _, name in opened}
-    names = list(patterns)
+    opened = [open_pattern(color.replace(AUTO, f"@tile={metres:g}"))[0] for metres in WIDTHS]
+    patterns = {f"{metres:g}": worn.on(clothes_cover(logo)) for metres, worn in zip(WIDTHS, opened, strict=True)}
     images = people_images(fit_people(people), backgrounds, settings, next(iter(detectors.values())).device)
     results = measure(images, patterns, detectors, batch=settings.batch, on_progress=on_progress)
-    rates: dict[str, dict[str, dict]] = {}
-    for spec in detectors:
-        rates[spec] = {}
-        for metres, name in zip(WIDTHS, names, strict=True):
-            rows = results.rows(spec, name)
-            hidden = {"success": settings.threshold, "success_own": operating_point(rows)}
-            rates[spec][f"{metres:g}"] = {
-                name: None if threshold is None else finite(share(rows, threshold))
-                for name, threshold in hidden.items()
-            }
-    means = [_mean(rates[spec][f"{metres:g}"] for spec in detectors) for metres in WIDTHS]
+
+    def hidden(spec: str, metres: str) -> dict[str, float | None]:
+        rows = results.rows(spec, metres)
+        thresholds = {"success": settings.threshold, "success_own": operating_point(rows)}
+        return {name: None if at is None else finite(share(rows, at)) for name, at in thresholds.items()}
+
+    rates = {spec: {metres: hidden(spec, metres) for metres in patterns} for spec in detectors}
+    measured = [[one[metres][name] for one in rates.values() for name in one[metres]] for metres in patterns]
+    means = [np.mean([rate for rate in of_width if rate is not None]) for of_width in measured]
     chosen = WIDTHS[int(np.argmax(means))]
     return {"chosen": chosen, "people": len(people), "photographs": len(people.photographs), "detectors": rates}
 
 
-def _mean(rates: Iterable[dict[str, float | None]]) -> float:
-    return float(np.mean([value for one in rates for value in one.values() if value is not None]))
-
-
-def _require_strangers(
+def _check_strangers(
     people: People, detectors: Mapping[str, Detector], judges: People, judging: Mapping[str, Detector]
 ) -> None:
     """Refuse people (by their photographs) and detectors (by their weights) that also judge. InputError."""

@@ -72,34 +72,19 @@ def test_a_cancel_file_and_a_time_budget_end_it_in_order(student: Student, tmp_p
     assert load_detector(result.spec)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [({}, "exists already"), ({"resume": True, "lr": 0.1}, "begun with other --lr = 0.001, not 0.1")],
-)
-def test_a_folder_that_is_there_is_not_taken_for_another(
-    student: Student, tmp_path: Path, changes: dict, message: str
-) -> None:
-    hardened(student, tmp_path / "out", steps=1)
-    with pytest.raises(InputError, match=message):
-        hardened(student, tmp_path / "out", **({"steps": 1} | changes))
-
-
-@pytest.mark.parametrize("version", [1, 2, 3])
-def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(
-    student: Student, tmp_path: Path, version: int
-) -> None:
-    hardened(student, tmp_path / "out", steps=1)
-    config = json.loads((tmp_path / "out" / "config.json").read_text())
-    (tmp_path / "out" / "config.json").write_text(json.dumps(config | {"format": f"cloak hardening {version}"}))
+def test_a_folder_goes_on_with_what_it_was_begun_with_alone(student: Student, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    hardened(student, out, steps=1)
+    assert hardened(student, out, resume=True, steps=1).step == 1
+    with pytest.raises(InputError, match="exists already"):
+        hardened(student, out, steps=1)
+    for changes, words in (({"lr": 0.1}, "--lr = 0.001, not 0.1"), ({"cloths": 0.5}, "--cloths")):
+        with pytest.raises(InputError, match=f"begun with other {words}"):
+            hardened(student, out, resume=True, **({"steps": 1} | changes))
+    config = json.loads((out / "config.json").read_text())
+    (out / "config.json").write_text(json.dumps(config | {"format": "cloak hardening 3"}))
     with pytest.raises(InputError, match="earlier version, which drew other cloaks; begin in another --out"):
-        hardened(student, tmp_path / "out", resume=True, steps=1)
-
-
-def test_a_folder_goes_on_with_the_settings_that_it_was_begun_with(student: Student, tmp_path: Path) -> None:
-    hardened(student, tmp_path / "out", steps=1)
-    assert hardened(student, tmp_path / "out", resume=True, steps=1).step == 1
-    with pytest.raises(InputError, match="begun with other --cloths"):
-        hardened(student, tmp_path / "out", resume=True, steps=1, cloths=0.5)
+        hardened(student, out, resume=True, steps=1)
 
 
 def test_cloaked_images_count_as_much_as_asked_in_the_last_fifth(student: Student, tmp_path: Path) -> None:
@@ -192,18 +177,12 @@ def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_pa
 
 
 @pytest.mark.parametrize(("tiles", "chosen"), [(True, "bfloat16"), (False, "float32")])
-def test_the_precision_is_the_processors_unless_said(
+def test_precision_and_learning_rate_are_the_processors_and_the_familys_unless_said(
     student: Student, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tiles: bool, chosen: str
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": tiles})
-    for name, asked, recorded in (("own", "auto", chosen), ("said", "float32", "float32")):
-        hardened(student, tmp_path / name, steps=1, precision=asked)
-        assert json.loads((tmp_path / name / "config.json").read_text())["settings"]["precision"] == recorded
-
-
-def test_the_record_says_the_learning_rate_of_the_family(student: Student, tmp_path: Path) -> None:
-    for name, lr, said in (("own", None, 1e-3), ("asked", 2e-4, 2e-4)):
-        hardened(student, tmp_path / name, steps=1, lr=lr)
-        assert json.loads((tmp_path / name / "config.json").read_text())["settings"]["lr"] == said
-        hardened(open_student(student.spec), tmp_path / name, steps=1, lr=lr, resume=True)
+    for name, asked, recorded in (("own", ("auto", None), (chosen, 1e-3)), ("said", ("float32", 2e-4), None)):
+        hardened(student, tmp_path / name, steps=1, precision=asked[0], lr=asked[1])
+        settings = json.loads((tmp_path / name / "config.json").read_text())["settings"]
+        assert (settings["precision"], settings["lr"]) == (recorded or asked)
     assert OnnxStudent.lr == 1e-4

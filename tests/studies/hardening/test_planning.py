@@ -17,7 +17,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.hardening.hardening import Material
 from cloak_core.studies.hardening.pictures import check_places
-from cloak_core.studies.hardening.planning import measure_pace, plan, planned_words, too_few_words
+from cloak_core.studies.hardening.planning import measure_pace, plan
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.students import open_student
 from tests.core.fakes import box_bodies, noise_backgrounds
@@ -29,19 +29,14 @@ FEW = {"batch": 2, "pictures": 1, "decoys": 1, "attack_steps": 1, "size": 64}
 def test_a_plan_fills_its_hours() -> None:
     pace = 2.0
     for hours in (0.2, 1.0, 8.0):
-        assert 0.95 * 3600 * hours - 2 < plan(HardenSettings(), pace, hours).steps * pace <= 0.95 * 3600 * hours
-    words = planned_words(plan(HardenSettings(), pace, 8.0), pace, 8.0)
+        planned, words, warning = plan(HardenSettings(), pace, hours)
+        assert 0.95 * 3600 * hours - 2 < planned.steps * pace <= 0.95 * 3600 * hours
+        assert bool(warning) == (hours == 0.2) and ("480 take 0.28 hours" in warning) == bool(warning)
     assert words.startswith("--hours 8: 13680 updates of 2 s (456 min); ") and "480 to 2800" in words
     with pytest.raises(
         InputError, match=r"--hours 0.01: 17 updates of 2 s fit, which hardens nothing; 50 take 0.029 h"
     ):
         plan(HardenSettings(), pace, 0.01)
-
-
-@pytest.mark.parametrize(("steps", "warned"), [(133, True), (430, True), (480, False), (2800, False)])
-def test_a_plan_shorter_than_any_that_held_is_warned_of_with_the_hours_that_do(steps: int, warned: bool) -> None:
-    words = too_few_words(HardenSettings(steps=steps), 72.0)
-    assert bool(words) == warned and ("480 take 10 hours" in words) == warned
 
 
 def test_the_pace_is_measured_and_the_student_is_as_before(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_a_turns_cloak_is_attacked_on_the_images_that_are_learned_from(
 
 
 def test_a_turns_images_differ_where_the_logo_is(student: Student) -> None:
-    pool = Pool(HardenSettings(**FEW), box_bodies(), noise_backgrounds(), student.detector)
+    pool = _pool(student)
     turn = pool.turn(0)
     apart = (turn.cloaked - turn.clean).abs().amax((1, 2, 3))
     assert turn.cloaked.shape == (2, 3, 64, 64)
@@ -90,14 +90,14 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
 
 
 def test_every_second_cloak_of_a_slot_covers_the_whole_body(student: Student) -> None:
-    pool = Pool(HardenSettings(**FEW), box_bodies(), noise_backgrounds(), student.detector)
+    pool = _pool(student)
     for generation in range(4):
         whole = [slot for slot in range(SLOTS) if len(pool.cloak(slot, generation).logo) == box_bodies().face_count]
         assert set(range(1 - generation % 2, SLOTS, 2)) <= set(whole)
 
 
 def test_every_other_cloak_is_seen_from_one_side(student: Student) -> None:
-    pool = Pool(HardenSettings(**FEW), box_bodies(), noise_backgrounds(), student.detector)
+    pool = _pool(student)
     seen = [np.exp(1j * np.radians(pool._train_settings(slot).views.angles.of)) for slot in range(4)]
     spread = [np.abs(np.angle(towards / towards[0])).max() for towards in seen]
     assert max(spread[0::2]) <= np.radians(30.001) and min(spread[1::2]) > np.radians(120)
@@ -163,11 +163,7 @@ def test_decoys_show_the_last_cloaks_beside_patterns_that_nobody_trained(
 
 
 def test_cloths_that_repeat_are_among_the_cloaks_beside_the_same_clean_images(student: Student) -> None:
-    settings = HardenSettings(**(FEW | {"cloths": 1.0}))
-    pool, plain = (
-        Pool(one, box_bodies(), noise_backgrounds(), student.detector)
-        for one in (settings, replace(settings, cloths=0.0))
-    )
+    pool, plain = (_pool(student, cloths=share) for share in (1.0, 0.0))
     cloak = pool.cloak(0, 0)
     assert 0.2 <= cloak.pattern.period <= 0.55 and plain.cloak(0, 0).pattern.period is None
     turn, other = pool.turn(0), plain.turn(0)
