@@ -24,7 +24,6 @@ from cloak_core.core.objective import Objective, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
-from cloak_core.core.technique import Setup
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.jobs.job import Tell
@@ -116,7 +115,7 @@ class Bench:
     def measure(self, detectors: Sequence[Detector], repeats: int) -> dict:
         """Time steps against these detectors together, and their floor: each alone on the ready batch."""
         settings = self.settings
-        techniques = build_techniques(Setup(settings, self.pattern, detectors, self.device))
+        techniques = build_techniques(settings, self.pattern, detectors, self.device)
         objective = Objective(settings, self.pattern, detectors, self.device, techniques)
         grey = torch.full((self.pattern.count, 3), 0.5, device=self.device)
         optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.pattern)

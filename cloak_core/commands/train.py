@@ -22,12 +22,12 @@ from cloak_core.core.settings.components import (
     LossSettings,
     OptimizerSettings,
     PatternSettings,
+    PeopleSettings,
     QuerySettings,
     RunSettings,
     SurrogateSettings,
     ViewSettings,
 )
-from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.specs import reach

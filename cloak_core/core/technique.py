@@ -10,28 +10,12 @@ Whatever a technique draws at random is a function of (seed, step). Off, it is n
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import ClassVar
 
 import numpy as np
 import torch
 from jaxtyping import Float
-
-from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.pattern import Pattern
-from cloak_core.core.settings import TrainSettings
-
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """What a technique may know when it is built."""
-
-    settings: TrainSettings
-    pattern: Pattern
-    """What has colours."""
-    detectors: Sequence[Detector]
-    device: torch.device
 
 
 class Technique:
@@ -41,11 +25,6 @@ class Technique:
     """Colours are restricted, so that a mean of two may not be allowed."""
     bars_search: ClassVar[bool] = False
     """Cannot be combined with --black-box-queries."""
-
-    @classmethod
-    def build(cls, setup: Setup) -> Technique | None:
-        """Build it; None where the settings have it off. InputError: it does not go with something."""
-        raise NotImplementedError
 
     # --- on the detector and the loss
 

@@ -160,17 +160,17 @@ def _unseen_bodies(scene: dict, bodies: Bodies, topology: object) -> tuple[bool 
     known = set(map(str, trained))
     seen = [i for i, digest in enumerate(bodies.pose_hashes) if digest in known]
     warnings = _overlap("bodies were in the training set", [bodies.names[i] for i in seen])
-    shapes = [pose_shape(vertices) for vertices in bodies.vertices]
-    pairs = similar_poses([_numbers(shape, len(shapes[0])) for shape in _list(scene, "pose_shapes")], shapes)
-    moved = {j: i for i, j in pairs if j not in seen}
-    names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in moved.items()]
-    warnings += _overlap("bodies are trained ones, moved, scaled or changed by millimetres", names)
-    spreads = [pose_spread(vertices) for vertices in bodies.vertices]
-    pairs = same_spreads([_numbers(spread, len(spreads[0])) for spread in _list(scene, "pose_spreads")], spreads)
-    mixed = {j: i for i, j in pairs if j not in seen and j not in moved}
-    names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in mixed.items()]
-    warnings += _overlap("bodies are trained ones, their vertices in another order", names)
-    if seen or moved or mixed:
+    for key, measure, find_pairs, words in (
+        ("pose_shapes", pose_shape, similar_poses, "moved, scaled or changed by millimetres"),
+        ("pose_spreads", pose_spread, same_spreads, "their vertices in another order"),
+    ):
+        shown = [measure(vertices) for vertices in bodies.vertices]
+        pairs = find_pairs([_numbers(value, len(shown[0])) for value in _list(scene, key)], shown)
+        alike = {j: i for i, j in pairs if j not in seen}
+        names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in alike.items()]
+        warnings += _overlap(f"bodies are trained ones, {words}", names)
+        seen += alike
+    if seen:
         return False, warnings
     # Without polygons the topology is what a file calls it, and says nothing of the vertices' order.
     told = bodies.loop_total is not None or len(_list(scene, "pose_spreads")) == len(trained)

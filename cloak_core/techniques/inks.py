@@ -17,8 +17,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from cloak_core.core.technique import Setup, Technique
-from cloak_core.techniques.printability import palette_of
+from cloak_core.core.technique import Technique
 
 WARM, COLD = 0.2, 0.01
 """The temperature's ends, in squared units of colour."""
@@ -38,15 +37,6 @@ class Inks(Technique):
         """How many inks are free parameters."""
         self.progress = 0.0
         """How far the run is, 0 to 1: the temperature hangs on it."""
-
-    @classmethod
-    def build(cls, setup: Setup) -> Inks | None:
-        most = setup.settings.pattern.colors_at_most
-        palette = palette_of(setup)
-        if most is None:
-            return None
-        fixed = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=setup.device)
-        return cls(most, fixed)
 
     def choose(
         self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"], tone: Callable, is_final: bool

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import torch
 from jaxtyping import Float
 
-from cloak_core.core.technique import Setup, Technique
+from cloak_core.core.technique import Technique
 
 _STATE = "interpolate.first"
 
@@ -27,11 +27,6 @@ class Interpolate(Technique):
         self.share = share
         self._first: torch.Tensor | None = None
         """[N, 3], as they are before `tone`; None until the first step begins."""
-
-    @classmethod
-    def build(cls, setup: Setup) -> Interpolate | None:
-        share = setup.settings.optimization.initial_share
-        return cls(share) if share else None
 
     def reach(self, step: int, steps: int, values: Callable) -> None:
         if self._first is None:

@@ -14,7 +14,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from cloak_core.core.technique import Setup, Technique
+from cloak_core.core.pattern import Pattern
+from cloak_core.core.settings import TrainSettings
+from cloak_core.core.technique import Technique
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.patterns.garments import garment_colors
@@ -35,24 +37,6 @@ class Near(Technique):
         self.garment = garment
         self.mean = mean
         self.most = most
-
-    @classmethod
-    def build(cls, setup: Setup) -> Near | None:
-        """Find the garment that colours stay close to; where faces share a colour, its mean there.
-
-        InputError: no such garment; one of several colours where inks are counted.
-        """
-        settings, pattern = setup.settings.pattern, setup.pattern
-        if settings.near is None:
-            return None
-        garment = garment_colors(settings.near, pattern.bodies, pattern.cover)
-        garment = read_start(Path(settings.near), pattern.cover, "--near") if garment is None else garment
-        if settings.colors_at_most is not None:
-            if len(np.unique(garment, axis=0)) > 1:
-                raise InputError("--near: with --colors-at-most the garment must have one colour")
-            if setup.settings.objective.palette is not None:
-                raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
-        return cls(pattern.from_faces(garment), settings.within, settings.within_most or 2 * settings.within)
 
     def distances(self, colors: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, " L"]:
         """Compute each face's CIEDE2000 from the garment."""
@@ -109,6 +93,21 @@ class Near(Technique):
             reached[near] = tried[near]
             low, high = np.where(near, middle, low), np.where(near, high, middle)
         return reached
+
+
+def read_garment(settings: TrainSettings, pattern: Pattern) -> Float[np.ndarray, "L 3"]:
+    """Find the garment that colours stay close to; where faces share a colour, its mean there.
+
+    InputError: no such garment; one of several colours where inks are counted.
+    """
+    named, most = settings.pattern.near, settings.pattern.colors_at_most
+    garment = garment_colors(named, pattern.bodies, pattern.cover)
+    garment = read_start(Path(named), pattern.cover, "--near") if garment is None else garment
+    if most is not None and len(np.unique(garment, axis=0)) > 1:
+        raise InputError("--near: with --colors-at-most the garment must have one colour")
+    if most is not None and settings.objective.palette is not None:
+        raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
+    return pattern.from_faces(garment)
 
 
 def _threshold(far: Float[np.ndarray, " L"], total: float) -> float:

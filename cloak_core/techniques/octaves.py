@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.technique import Setup, Technique
+from cloak_core.core.technique import Technique
 from cloak_core.files.lazy import Lazy
 
 sparse = Lazy("scipy.sparse")
@@ -43,11 +43,6 @@ class Octaves(Technique):
         """Of all grids' nodes together."""
         self.summed = SparseMap.from_scipy(weights).to(device, torch.float32)
         """Nodes' values to their sums at the points."""
-
-    @classmethod
-    def build(cls, setup: Setup) -> Octaves | None:
-        count, pattern = setup.settings.optimization.octaves, setup.pattern
-        return cls(pattern.points, pattern.spacing, count, pattern.period, setup.device) if count > 1 else None
 
     def free(
         self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"]

@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from cloak_core.core.technique import Setup, Technique
+from cloak_core.core.technique import Technique
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.sources.bodies.logos.palette import read_palette
 
 
 class Printability(Technique):
@@ -26,22 +25,11 @@ class Printability(Technique):
         self.colors = palette
         self.palette = torch.as_tensor(palette, dtype=torch.float32, device=device)
 
-    @classmethod
-    def build(cls, setup: Setup) -> Printability | None:
-        settings = setup.settings.objective
-        return cls(settings.nps_weight, palette_of(setup), setup.device) if settings.palette is not None else None
-
     def penalty(self, colors: Float[torch.Tensor, "C 3"]) -> tuple[float, Float[torch.Tensor, ""]]:
         return self.weight, non_printability(colors, self.palette)
 
     def content(self) -> dict[str, object]:
         return {"palette": {"colors": len(self.colors), "sha256": sha256_arrays(self.colors)}}
-
-
-def palette_of(setup: Setup) -> Float[np.ndarray, "P 3"] | None:
-    """Read the palette; None where none is named. InputError: it cannot be read."""
-    file = setup.settings.objective.palette
-    return None if file is None else read_palette(file)
 
 
 def non_printability(

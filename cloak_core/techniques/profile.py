@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from cloak_core.core.technique import Setup, Technique
-from cloak_core.exchange.profiles import Profile, read_profile
+from cloak_core.core.technique import Technique
+from cloak_core.exchange.profiles import Profile
 from cloak_core.files.identity import sha256_arrays
 
 
@@ -19,11 +19,6 @@ class Photographed(Technique):
     def __init__(self, profile: Profile, device: torch.device | str = "cpu") -> None:
         self.profile = profile
         self._table = torch.from_numpy(profile.table).to(device).permute(3, 0, 1, 2)[None]
-
-    @classmethod
-    def build(cls, setup: Setup) -> Photographed | None:
-        file = setup.settings.pattern.profile
-        return None if file is None else cls(read_profile(file), setup.device)
 
     def tone(self, values: Float[torch.Tensor, "N 3"]) -> Float[torch.Tensor, "N 3"]:
         if not len(values):

@@ -14,8 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from cloak_core.core.technique import Setup, Technique
-from cloak_core.files.errors import InputError
+from cloak_core.core.technique import Technique
 
 _STREAM = 0x5EA
 """Of random numbers, apart from those that draw the images."""
@@ -32,17 +31,6 @@ class Shake(Technique):
     def __init__(self, reach: float, seed: int) -> None:
         self.reach = reach
         self.seed = seed
-
-    @classmethod
-    def build(cls, setup: Setup) -> Shake | None:
-        """InputError: a detector is compiled, so that nothing reaches into it."""
-        reach = setup.settings.surrogates.shake
-        if not reach:
-            return None
-        for detector in setup.detectors:
-            if detector.compiled:
-                raise InputError(f"--detector {detector.spec}: compiled, so --shake and the like do not reach into it")
-        return cls(reach, setup.settings.run.seed)
 
     def around(self, number: int, step: int) -> contextlib.AbstractContextManager:
         """Shake detector `number` in `step`, by (seed, step, number)."""

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 
 from cloak_core.core.linear import SparseMap, offsets
-from cloak_core.core.technique import Setup, Technique
+from cloak_core.core.technique import Technique
 
 
 class Smoothing(Technique):
@@ -34,11 +34,6 @@ class Smoothing(Technique):
         order = np.lexsort((column, row))
         rows, columns, values = (torch.from_numpy(x[order]).to(device) for x in (row, column, value))
         self.once = SparseMap(offsets(rows, count), columns, values.float(), count)
-
-    @classmethod
-    def build(cls, setup: Setup) -> Smoothing | None:
-        rounds, pattern = setup.settings.optimization.smooth, setup.pattern
-        return cls(pattern.neighbours, pattern.value_count, rounds, setup.device) if rounds else None
 
     def mix(self, values: Float[torch.Tensor, "L C"]) -> Float[torch.Tensor, "L C"]:
         """Average the values; they stay within [0, 1] where the given ones do."""

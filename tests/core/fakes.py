@@ -13,7 +13,7 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.places import Places
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.source import Dealt
-from cloak_core.core.technique import Setup, Techniques
+from cloak_core.core.technique import Techniques
 from cloak_core.core.view import BakedView, Box, Subject
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
@@ -199,4 +199,4 @@ def techniques_of(
     """The techniques that the settings have on, for the front of a box."""
     bodies = bodies or box_bodies()
     pattern = pattern_of(settings.pattern, bodies, front_logo(bodies))
-    return build_techniques(Setup(settings, pattern, detectors, torch.device("cpu")))
+    return build_techniques(settings, pattern, detectors, torch.device("cpu"))

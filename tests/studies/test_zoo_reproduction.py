@@ -11,6 +11,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.studies import zoo_reproduction
 from cloak_core.studies.zoo_reproduction import Files, evaluate_again
 from cloak_core.zoo.entry import entry, shelved
+from tests.core.fakes import RedDetector
 
 RATES = {"success": 0.9, "success_own": 0.5, "ci95": [0.8, 1.0], "ci95_own": [0.4, 0.6], "n": 10}
 
@@ -40,10 +41,12 @@ def test_what_does_not_ship_is_asked_for_by_name(tmp_path: Path, monkeypatch: py
     (tmp_path / "deep").mkdir()
     for name in ("a-1.2.cfg", "a_3.weights"):
         (tmp_path / "deep" / name).write_bytes(b"")
-    monkeypatch.setattr(zoo_reproduction, "load_detector", lambda spec, device: spec)
-    placed = zoo_reproduction._detector("darknet:a-1.2.cfg:a_3.weights@224,conf=0.25", Files(tmp_path), "zoo:a", "cpu")
-    assert placed == f"darknet:{tmp_path}/deep/a-1.2.cfg:{tmp_path}/deep/a_3.weights@224,conf=0.25"
-    assert zoo_reproduction._detector("builtin@conf=0.5", Files(), "zoo:a", "cpu") == "builtin@conf=0.5"
+    asked = []
+    monkeypatch.setattr(zoo_reproduction, "load_detector", lambda spec, device: asked.append(spec) or RedDetector())
+    for spec in ("darknet:a-1.2.cfg:a_3.weights@224,conf=0.25", "builtin@conf=0.5"):
+        zoo_reproduction._detector(spec, Files(tmp_path), "zoo:a", "cpu")
+    deep = tmp_path / "deep"
+    assert asked == [f"darknet:{deep}/a-1.2.cfg:{deep}/a_3.weights@224,conf=0.25", "builtin@conf=0.5"]
 
 
 def test_a_figure_holds_within_either_interval() -> None:

@@ -26,12 +26,12 @@ from cloak_core.core.settings.components import (
     LossSettings,
     OptimizerSettings,
     PatternSettings,
+    PeopleSettings,
     QuerySettings,
     RunSettings,
     SurrogateSettings,
     ViewSettings,
 )
-from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.core.settings.retired import without_retired
 from cloak_core.core.settings.values import Bounds, Parsable, from_plain, option
 from cloak_core.files.errors import InputError

@@ -119,6 +119,14 @@ class AugmentationSettings:
     off."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PeopleSettings:
+    """How photographs of people are shown, where there are any (--people)."""
+
+    people_share: Annotated[float, Bounds(0, 1)] = 1.0
+    """Share of the images that are photographs, the others being renders of the scene."""
+
+
 Loss = Literal["score", "objectness", "log", "margin"]
 Hide = Literal["person", "everything"]
 

@@ -16,7 +16,7 @@ from cloak_core.core.logo import Logo
 from cloak_core.core.loop import TrainingError
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.source import Mixture
-from cloak_core.core.technique import Setup, Techniques
+from cloak_core.core.technique import Techniques
 from cloak_core.core.train import Job, run_training
 from cloak_core.core.training import RunResult
 from cloak_core.core.world import LostProcess, World, join_world, local_device
@@ -94,7 +94,7 @@ def make_job(training: Training, world: World) -> Job:
     surrogates = [detector.to(device) for detector in training.query_prior]
     pattern = pattern_of(settings.pattern, bodies, logo)
     start = _start(training)
-    techniques = build_techniques(Setup(settings, pattern, detectors, device))
+    techniques = build_techniques(settings, pattern, detectors, device)
     if start is None:
         first = first_colors(settings.optimization, pattern, bodies, settings.run.seed)
     else:
@@ -136,5 +136,5 @@ def bodies_of(source: BodySource | Mixture) -> BodySource:
 def training_config(training: Training) -> dict:
     """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
     pattern = pattern_of(training.settings.pattern, training.bodies, training.logo)
-    techniques = build_techniques(Setup(training.settings, pattern, training.detectors, torch.device("cpu")))
+    techniques = build_techniques(training.settings, pattern, training.detectors, torch.device("cpu"))
     return run_config(training, files=_files(_start(training), techniques))
