@@ -111,8 +111,11 @@ def objects_near(objects: bpy.types.bpy_prop_collection | list, box: np.ndarray)
         corners, matrices = read(objects, "bound_box", 24), read(objects, "matrix_world", 16)
     corners, matrices = corners.reshape(-1, 8, 3), matrices.reshape(-1, 4, 4)  # matrices of columns
     first, last = corners[:, 0].copy(), corners[:, 6].copy()  # the lowest and the highest corner
-    for index in np.flatnonzero((first == last).all(1)).tolist():
-        first[index], last[index] = _instances_box(objects[index])
+    for index in np.flatnonzero((first == last).all(1)).tolist():  # perhaps an instance of a collection
+        collection = objects[index].instance_collection
+        if boxes := [box_of(o) for o in collection.all_objects if o.type != "EMPTY"] if collection else []:
+            first[index] = np.min(boxes, axis=(0, 1)) - np.array(collection.instance_offset)
+            last[index] = np.max(boxes, axis=(0, 1)) - np.array(collection.instance_offset)
     turn, extent = matrices[:, :3, :3], box[1] - box[0]
     middle = np.einsum("ni,nij->jn", (first + last) / 2, turn) + matrices[:, 3, :3].T
     # Half a box's extent along the axes of the world; a flat object gets a thickness, to have a volume to compare.
@@ -125,16 +128,6 @@ def objects_near(objects: bpy.types.bpy_prop_collection | list, box: np.ndarray)
         shared *= np.maximum(high - low, 0) / (2 * half[axis])
     fits &= (2 * largest >= 0.02 * extent.max()) & (shared > BESIDE)
     return [objects[index] for index in np.flatnonzero(fits).tolist()]
-
-
-def _instances_box(obj: bpy.types.Object) -> np.ndarray:
-    """Lowest and highest corner [2, 3] of the collection that an object instances, in its space; zeros for none."""
-    shown = obj.instance_collection.all_objects if obj.instance_collection else ()
-    boxes = [box_of(o) for o in shown if o.type != "EMPTY"]
-    if not boxes:
-        return np.zeros((2, 3), np.float32)
-    low, high = np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
-    return np.stack([low, high]) - np.array(obj.instance_collection.instance_offset)
 
 
 def is_dressed(obj: bpy.types.Object) -> bool:

@@ -190,15 +190,25 @@ def _state_of(context: bpy.types.Context, obj: bpy.types.Object) -> Callable[[],
     """Return a function that restores the frame, and the body's animation, place and pose, with keys or without."""
     scene, armature, keys = context.scene, armature_of(obj), obj.data.shape_keys
     frame, subframe = scene.frame_current, scene.frame_subframe
-    movable = [one for one in (obj, armature) if one is not None]
-    movable += armature.pose.bones if armature else ()
+    movable = [obj, *([armature, *armature.pose.bones] if armature else ())]
     places = [(one, one.matrix_basis.copy()) for one in movable]
     values = {key.name: key.value for key in keys.key_blocks} if keys else {}
-    restorers = [_animation_of(owner) for owner in _owners(obj)]
+    animations = []
+    for owner in _owners(obj):
+        data = owner.animation_data
+        animations.append((owner, data and (data.use_nla, data.action, getattr(data, "action_slot", None))))
 
     def restore() -> None:
-        for restorer in restorers:
-            restorer()
+        for owner, before in animations:
+            if before is None:
+                owner.animation_data_clear()
+                continue
+            now, (use_nla, action, slot) = owner.animation_data, before
+            now.use_nla = use_nla
+            if now.action != action:
+                now.action = action
+            if action is not None and slot is not None:
+                now.action_slot = slot
         scene.frame_set(frame, subframe=subframe)
         for one, matrix in places:
             if one.matrix_basis != matrix:  # what a matrix says of angles is not what the user typed
@@ -206,24 +216,6 @@ def _state_of(context: bpy.types.Context, obj: bpy.types.Object) -> Callable[[],
         for name, value in values.items():
             keys.key_blocks[name].value = value
         context.view_layer.update()
-
-    return restore
-
-
-def _animation_of(owner: bpy.types.ID) -> Callable[[], None]:
-    """Return a function that restores the owner's current animation."""
-    data = owner.animation_data
-    if data is None:
-        return owner.animation_data_clear
-    use_nla, action, slot = data.use_nla, data.action, getattr(data, "action_slot", None)
-
-    def restore() -> None:
-        now = owner.animation_data
-        now.use_nla = use_nla
-        if now.action != action:
-            now.action = action
-        if action is not None and slot is not None:
-            now.action_slot = slot
 
     return restore
 

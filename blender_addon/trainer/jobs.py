@@ -19,12 +19,12 @@ import bpy
 
 from ..files.errors import InputError
 from ..session import session
-from ..ui.window import between_strokes, notify, redraw
+from ..ui.window import between_strokes, end_notice, redraw, tell_status
 from .preferences import trainer
 from .program import cloak_command, start_process
 from .progress import Progress, duration, read_events
 
-TICK_SECONDS = 0.25
+TICK_SECONDS, NOTICE_SECONDS = 0.25, 10.0
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
 OnEnd = Callable[["Job"], str | None] | None
 """Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""
@@ -300,7 +300,8 @@ def tick() -> float | None:
     for job in [job for job in session.jobs if job.running]:
         job.look()
         if not job.active and unseen:
-            notify(job.message)
+            tell_status(job.message)  # a popup at the mouse would take the next click
+            bpy.app.timers.register(end_notice, first_interval=NOTICE_SECONDS)
         session.panel_seen = False
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
     for job in [job for job in session.jobs if job.state == "waiting"]:

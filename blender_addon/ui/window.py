@@ -7,8 +7,6 @@ from contextlib import contextmanager
 
 import bpy
 
-NOTICE_SECONDS = 10.0
-
 
 class Hooks:
     """Handlers of Blender and drawing over its viewports, from `register` until `unregister`.
@@ -104,14 +102,9 @@ def between_strokes(seconds: float, meanwhile: Callable[[], None] = lambda: None
     return decorate
 
 
-def notify(message: str) -> None:
-    """Show a message in the status bar for a while; a popup at the mouse would take the next click."""
-    tell_status(message)
-    bpy.app.timers.register(_end_notice, first_interval=NOTICE_SECONDS)
-
-
 @between_strokes(1.0)
-def _end_notice() -> None:
+def end_notice() -> None:
+    """The timer's function: take a message out of the status bar."""
     tell_status("")
 
 

@@ -73,19 +73,6 @@ def test_what_the_user_chooses_is_named_by_the_user(ready, evil):
     assert starts("train_start")
 
 
-@pytest.mark.parametrize("spec", NAMED)
-def test_resume_runs_no_word_of_the_folder(ready, evil, monkeypatch, spec):
-    run = cancelled_run(ready, monkeypatch)
-    path = runs.input_folder(run) / runs.COMMAND
-    record = json.loads(path.read_text())
-    spec = spec.format(evil=evil)
-    path.write_text(json.dumps(record | {"options": [*record["options"], f"--detector={spec}"]}))
-    choose(run.name)
-    assert not starts("train_resume")
-    program.allow([spec])
-    assert starts("train_resume")
-
-
 @pytest.mark.parametrize(
     "word", ["--query-prior=builtin", "--people=/etc/passwd", "--out=/tmp/x", "x", "--detector", ""]
 )

@@ -263,13 +263,6 @@ def test_a_body_that_lies_is_said():
     assert poses_reason(bpy.context) == ""  # said, not refused
 
 
-def test_a_pose_that_is_not_finite_is_named():
-    obj = make_egg()
-    obj.data.vertices[7].co.x = float("nan")
-    with pytest.raises(InputError, match="'Body': vertices: not a finite number at pose 0, vertex 7"):
-        export(obj)
-
-
 def test_nothing_is_half_written(tmp_path):
     obj = make_egg()
     faces.new_logo(obj, "chest", np.arange(len(obj.data.polygons)) < 9)

@@ -14,7 +14,7 @@ from cloak.poses import export as scene_export
 from cloak.poses.export import poses_reason
 from cloak.poses.poses import PoseChoice
 from cloak.training import runs
-from made import centers, make_egg, make_grid, set_mode
+from made import centers, make_egg
 
 NOW = PoseChoice()
 
@@ -162,21 +162,6 @@ def test_faces_that_a_modifier_takes_away_are_not_trained(tmp_path):
     ids = read_face_list(done.face_list, read_scene(done.scene)).ids
     upper = {v.index for v in obj.data.vertices if v.co.z > 0.9}
     assert ids.tolist() == [p.index for p in obj.data.polygons if mask[p.index] and set(p.vertices) <= upper]
-
-
-def test_a_stamp_under_a_subdivision_takes_own_faces():
-    obj = make_grid(2000)
-    bpy.context.scene.cloak.stamp_size = bpy.context.scene.cloak.stamp_center = 0.5
-    bpy.ops.cloak.logo_stamp()
-    plain = faces.read_faces(obj, "G")
-    obj.modifiers.new("Subdivision", "SUBSURF").subdivision_type = "SIMPLE"
-    for mode in ("OBJECT", "EDIT"):
-        set_mode(mode)
-        faces.write_faces(obj, "G", np.zeros(len(plain), bool))
-        bpy.ops.cloak.logo_stamp(add=True)
-        taken = faces.read_faces(obj, "G")
-        assert (taken & plain).sum() > 0.9 * plain.sum() and taken.sum() < 2 * plain.sum()
-        assert CARRIED not in obj.data.attributes
 
 
 # --- where they cannot be --------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from cloak.session import session
 from cloak.trainer import jobs, program
 from cloak.trainer import preferences as preferences_module
 from cloak.trainer.jobs import Job, TrainingJob
-from cloak.trainer.preferences import preferences, trainer, trainer_reason
+from cloak.trainer.preferences import preferences, trainer_reason
 from cloak.trainer.program import cloak_command
 from cloak.trainer.progress import Progress, take_event
 from cloak.training import runs
@@ -57,18 +57,6 @@ def test_the_program_is_found_where_installers_put_it_and_not_started(nowhere, p
     made = make_program(nowhere / place, f"touch '{tmp_path}/started'")
     assert program.find_program() == str(made) and trainer_reason() == ""
     assert cloak_command(str(made), "x") == [str(made), "x", "--json"] and not (tmp_path / "started").exists()
-
-
-def test_the_line_that_installs_the_trainer_names_the_wheel_that_was_chosen(nowhere):
-    preferences().wheel = "~/my wheels/cloak_core-2.0.0-py3-none-any.whl"
-    try:
-        with pytest.raises(InputError) as error:
-            trainer()
-        assert str(error.value).endswith(
-            f'uv tool install "{nowhere}/my wheels/cloak_core-2.0.0-py3-none-any.whl[onnx]"'
-        )
-    finally:
-        preferences().wheel = ""
 
 
 def test_what_is_chosen_comes_first(nowhere, tmp_path, monkeypatch):

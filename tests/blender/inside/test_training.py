@@ -147,14 +147,6 @@ def test_runs_of_a_file_without_a_name_outlive_the_extension(ready):
     assert own not in run.parents and run.parent == Path(bpy.utils.user_resource("DATAFILES"), "cloak runs")
 
 
-def test_resume_without_its_input_is_refused(ready):
-    with pytest.raises(RuntimeError, match="Choose a run in the list first"):
-        bpy.ops.cloak.train_resume()
-    ready.cloak.run = "/nowhere/run"
-    with pytest.raises(RuntimeError, match="/nowhere/run is gone: choose another run"):
-        bpy.ops.cloak.train_resume()
-
-
 # --- Blender closes ---------------------------------------------------------------------------------------------------
 
 
