@@ -32,9 +32,7 @@ from .training import runs
 
 PRINT_SECONDS = 2.0
 PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
-PASSED_ON = dict.fromkeys(("detector", "backgrounds", "angles", "preset", "steps", "device", "config"), "")
-"""Options that the trainer gets as they are, and their defaults; "" leaves the trainer's own."""
-PASSED_ON |= {"detector": "builtin", "angles": "-10:10:5"}
+DEFAULTS = {"detector": "builtin", "angles": "-10:10:5"}  # of options that the trainer gets; else its own
 
 
 class Parser(argparse.ArgumentParser):
@@ -61,8 +59,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("--frames", default="", metavar="A:B:STEP", help="frames to train on (default: the current pose)")
     add("--actions", type=int, default=0, metavar="STEP", help="train on every STEP-th frame of all actions")
     add("--leave-out", default="", metavar="NAMES", help="visible meshes on the body not to show the camera, A,B")
-    for name, default in PASSED_ON.items():
-        add(f"--{name}", default=default, help="as in cloak train" + (f" (default: {default})" if default else ""))
+    for name in trainer.PASSED_ON:
+        add(f"--{name}", default=DEFAULTS.get(name, ""), help="as in cloak train")
     add("--trainer", "--python", default="", help="program cloak, or a Python that has cloak_core (default: found)")
     add("--resume", action="store_true", help="go on with the run in --out")
     add("--init", type=Path, metavar="RUN", help="begin with the colours of another run on the same logo")
@@ -186,7 +184,7 @@ def main(arguments: list[str]) -> None:
 
 def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program: str, run: Path) -> None:
     """Export and train, with progress on standard output."""
-    given = {name: getattr(options, name) for name in PASSED_ON}
+    given = {name: getattr(options, name) for name in trainer.PASSED_ON}
     detector = trainer.absolute_detector(given.pop("detector"))
     for name in ("backgrounds", "config"):  # the trainer works in a folder of its own
         if Path(given[name]).exists() and given[name]:

@@ -23,9 +23,10 @@ from .marks import (
     SHOWN_BEFORE,
     layer_name,
     make_layer,
+    remove_layer,
 )
 from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
-from .pictures import Cloth, cloth_of, image_pixels, pixels_at, show_on, take_off
+from .pictures import Cloth, cloth_of, image_pixels, pixels_at, show_on
 
 SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
@@ -218,9 +219,12 @@ def undress(obj: bpy.types.Object) -> None:
     mesh, slot = obj.data, _cloak_slot(obj.data)
     if slot is not None and layer_name(mesh, OWN_MATERIAL):
         write_attribute(mesh, SLOTS, "INT", own_material_slots(obj))
-    if slot is not None and cloth_of(worn := mesh.materials[slot]):
+    if slot is not None and (image := cloth_of(worn := mesh.materials[slot])):
         mesh.materials[slot] = cloak_material(mesh, worn[MATERIAL])
-        take_off(mesh, worn)
+        remove_layer(mesh, CLOTH)
+        for thing, kept in ((worn, bpy.data.materials), (image, bpy.data.images)):
+            if not thing.users:
+                kept.remove(thing)
 
 
 def is_dressed(obj: bpy.types.Object) -> bool:

@@ -184,26 +184,18 @@ class Surface:
         direction = region_2d_to_vector_3d(region, view, mouse)
         return self.hits(np.array(region_2d_to_origin_3d(region, view, mouse)), np.array(direction)), direction
 
-    def _face_at(self, point: np.ndarray, squared: np.ndarray) -> int:
-        """The face at a point relative to `middle`, else the one with the nearest centre; -1 if there is none.
-
-        squared [P]: distances of the centres from the point, squared; infinite for hidden faces.
-        """
-        near = np.flatnonzero(squared <= self.reach_squared)
-        if len(near):
-            triangles, face = self.triangles(near)
-            nearest = [closest_point_on_tri(Vector(point), *map(Vector, t)) for t in self.points[triangles].tolist()]
-            return int(face[np.argmin(_squared(np.array(nearest) - point))])
-        return int(np.argmin(squared)) if self.shown.any() else -1
-
     def around(self, place: np.ndarray, radius: float) -> np.ndarray:
         """The faces whose centres lie within a radius of a place on the surface, and that look to its side; [n]."""
         point = (place - self.middle).astype(np.float32)
         offset = self.centers.T - point[:, None]
         squared = np.where(self.shown, (offset * offset).sum(0), np.float32(np.inf))
-        touched = self._face_at(point, squared)
-        if touched < 0:
+        if not self.shown.any():
             return np.zeros(0, np.int64)
+        touched = int(np.argmin(squared))  # where no face is: the one with the nearest centre
+        triangles, face = self.triangles(np.flatnonzero(squared <= self.reach_squared))
+        if len(face):
+            nearest = [closest_point_on_tri(Vector(point), *map(Vector, t)) for t in self.points[triangles].tolist()]
+            touched = int(face[np.argmin(_squared(np.array(nearest) - point))])
         near = np.flatnonzero(squared <= radius**2)
         near = near[self.normals[near] @ self.normals[touched] > 0]
         beyond = squared[touched] > max(radius**2, float(self.reach_squared[touched]))

@@ -146,12 +146,6 @@ def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray, others: Sequenc
     return unique
 
 
-def remove_logo(obj: bpy.types.Object, name: str) -> None:
-    """Take the logo off the mesh; its faces stay as they are."""
-    with arrays.object_mode(obj):
-        obj.data.attributes.remove(obj.data.attributes[name])
-
-
 def import_face_list(obj: bpy.types.Object, path: Path) -> str:
     """A new logo from a face list; checked against the mesh. Returns its name."""
     face_list = read_face_list(path)

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ..files.errors import InputError
-from .marks import CLOTH, PREFIX, make_uv_map, remove_layer
+from .marks import CLOTH, PREFIX, make_uv_map
 
 
 def load_image(path: Path) -> bpy.types.Image:
@@ -118,15 +118,6 @@ def cloth_of(material: bpy.types.Material) -> bpy.types.Image | None:
     """The cloth that one of our materials shows; None where it shows colours of faces."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node.image for node in nodes if node.bl_idname == "ShaderNodeTexImage"), None)
-
-
-def take_off(mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
-    """Remove a cloth that the mesh wore: the UV map, and material and image if nobody else shows them."""
-    image = cloth_of(material)
-    remove_layer(mesh, CLOTH)
-    for thing, kept in ((material, bpy.data.materials), (image, bpy.data.images)):
-        if thing is not None and not thing.users:
-            kept.remove(thing)
 
 
 def pixels_at(pixels: np.ndarray, uv: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..blender import colors, faces
 from ..blender.blend_paths import first_free
 from ..blender.faces import read_selection
 from ..blender.marks import COLORS, HEAT, HEATMAP, layer_name, layer_of, make_layer, our_names, remove_layer
-from ..blender.mesh_arrays import current_mesh, face_count, mode_reason, read, topology
+from ..blender.mesh_arrays import current_mesh, face_count, mode_reason, object_mode, read, topology
 from ..body.garments import is_dressed
 from ..body.objects import active_body, body_reason, logo_reason, object_of, of_the_body, refusal, upright_reason
 from ..exchange.face_lists import write_face_list
@@ -106,7 +106,8 @@ class CLOAK_OT_logo_remove(BodyOperator, label="Delete Logo", needs=logo_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = faces.active_logo(obj)
-        faces.remove_logo(obj, name)
+        with object_mode(obj):
+            obj.data.attributes.remove(obj.data.attributes[name])
         obj.cloak.logo = next(iter(faces.logo_names(obj.data)), "")
         return f"Deleted logo '{name}'"
 

@@ -137,33 +137,36 @@ class Verdict:
         )
 
 
-def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> list[Verdict]:
+def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> tuple[Verdict, ...]:
     """What each detector said about the images of `image_paths`; kept beside them for `last_verdicts`."""
+    images, found = [path.name for path in image_paths(plan)], {}
     try:
-        records = [json.loads(text) for text in answers]
-        scores = [(float(record["max_person"]), float(record["operating_point"])) for record in records]
+        for number, spec in enumerate(specs):
+            records = [json.loads(text) for text in answers[number * len(images) :][: len(images)]]
+            scores, points = zip(*((r["max_person"], r["operating_point"]) for r in records), strict=True)
+            found[spec] = {"scores": list(map(float, scores)), "threshold": float(points[0])}
     except (ValueError, KeyError, TypeError):
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
-    images = tuple(image_paths(plan))
-    of_each = zip(specs, zip(*[iter(scores)] * len(images), strict=True), strict=True)
-    found = [Verdict(tuple(score for score, _ in own), images, spec, own[0][1]) for spec, own in of_each]
-    record = {v.spec: {"scores": v.scores, "threshold": v.threshold} for v in found}
-    write_json(plan.folder / VERDICT, {"detectors": record, "images": [path.name for path in images]})
-    return found
+    write_json(plan.folder / VERDICT, {"detectors": found, "images": images})
+    return _read_verdicts(plan.folder / VERDICT)
 
 
 def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
     """Read the verdicts of the latest render check in a folder; empty if there is none."""
     files = sorted(parent.glob(f"{NAME}*/{VERDICT}"), key=lambda path: path.stat().st_mtime)
     try:
-        record = read_json(files[-1])
-        images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
-        found = []
-        for spec, answer in record["detectors"].items():
-            threshold = float(answer.get("threshold", THRESHOLD))
-            found.append(Verdict(tuple(map(float, answer["scores"])), images, spec, threshold))
+        return _read_verdicts(files[-1])
     except UNREADABLE:
         return ()
+
+
+def _read_verdicts(file: Path) -> tuple[Verdict, ...]:
+    record = read_json(file)
+    images = tuple(file.parent / Path(str(name)).name for name in record["images"])
+    found = []
+    for spec, answer in record["detectors"].items():
+        scores = tuple(map(float, answer["scores"]))
+        found.append(Verdict(scores, images, spec, float(answer.get("threshold", THRESHOLD))))
     return tuple(verdict for verdict in found if len(verdict.scores) > 1)
 
 

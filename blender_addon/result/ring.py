@@ -59,23 +59,17 @@ def on_circle(azimuth: float | np.ndarray) -> np.ndarray:
     return np.stack([np.sin(turn), -np.cos(turn)], -1)
 
 
-def band_triangles(first: float, last: float, inner: float, outer: float) -> np.ndarray:
-    """[n, 3, 2] triangles of a piece of a ring."""
-    count = max(1, math.ceil((last - first) / STEP))
-    turns = on_circle(np.linspace(first, last, count + 1))
-    a, b = turns[:-1], turns[1:]
-    near = np.stack([a * inner, a * outer, b * outer], 1)
-    return np.concatenate([near, np.stack([a * inner, b * outer, b * inner], 1)])
-
-
 def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
     """Corners [3 n, 2] around the origin, in shares of the body's extent, and their colours [3 n, 4] sRGB."""
     places, paints = [np.zeros((0, 2))], [np.zeros((0, 4))]
     for first, last, sector in arcs(sectors):
-        gap = min(0.5, 0.05 * (last - first))
+        gap, count = min(0.5, 0.05 * (last - first)), max(1, math.ceil((last - first) / STEP))
+        turns = on_circle(np.linspace(first + gap, last - gap, count + 1))
+        a, b = turns[:-1], turns[1:]
         bands = ((MIDDLE, OUTER, sector.cloak), (INNER, MIDDLE - 0.02, sector.clothing))
         for inner, outer, success in (band for band in bands if band[2] is not None):
-            places.append(band_triangles(first + gap, last - gap, inner, outer).reshape(-1, 2))
+            corners = (a * inner, a * outer, b * outer, a * inner, b * outer, b * inner)  # of two triangles
+            places.append(np.stack(corners, 1).reshape(-1, 2))
             paints.append(np.tile((*color_of(success), OPAQUE), (len(places[-1]), 1)))
     return np.concatenate(places), np.concatenate(paints)
 

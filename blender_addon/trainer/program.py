@@ -87,19 +87,9 @@ SAMPLES = {"BARE": "sample:train", "CLOTHED": "sample-clothed:train"}
 """Training splits of the sample people; the other splits are held out for evaluation."""
 
 
-OPTIONS = ("detector", "backgrounds", "angles", "preset", "steps", "device", "config", "init", "made-from")
-"""Of `cloak train`: what the add-on sets."""
-
-
-def known_options(words: list[str], source: Path) -> list[str]:
-    """Return the options that a file keeps. Raises `InputError` for any that the add-on would not have written."""
-    if words[-2:] == ["--made-from", "sample:train"]:  # of an earlier version
-        words = [*words[:-2], "--made-from=sample:train"]
-    known = tuple(f"--{name}=" for name in OPTIONS)
-    for word in words:
-        if not word.startswith(known):
-            raise InputError(f"{source}: {word.partition('=')[0]} is no option of a run that Blender started")
-    return words
+PASSED_ON = ("detector", "backgrounds", "angles", "preset", "steps", "device", "config")
+OPTIONS = (*PASSED_ON, "init", "made-from")
+"""Of `cloak train`: what the user sets, and with it what the add-on sets."""
 
 
 def options(detectors: Iterable[str], **values: object) -> list[str]:

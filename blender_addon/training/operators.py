@@ -38,7 +38,7 @@ def selected_run(context: bpy.types.Context) -> RunState | None:
 def kept_reason(context: bpy.types.Context) -> str:
     """Which of the chosen run's options Resume keeps although the panel differs; "" if none."""
     state = selected_run(context)
-    if state is None or not state.resumable or refusal(train_options, context.scene.cloak):
+    if state is None or run_reason(context, "resumed") or refusal(train_options, context.scene.cloak):
         return ""
     kept = differing_options(list(state.options), train_options(context.scene.cloak))
     return f"Resume keeps what {state.title} began with: {kept}; Extend takes the panel's settings" if kept else ""
@@ -51,7 +51,7 @@ def run_reason(context: bpy.types.Context, action: str) -> str:
         return body_reason(context)
     if state is None:
         return "Choose a run in the list first"
-    if not state.exists:
+    if not (state.path.is_dir() or runs.input_folder(state.path).is_dir()):
         return f"{state.path} is gone: choose another run"
     if action in ("stopped", "followed") and state.state != RUNNING:
         return f"{state.title} is not being trained"

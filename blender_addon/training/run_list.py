@@ -67,16 +67,6 @@ class RunState:
         """Worst success over the detectors of its evaluation, by control ("logo", "clothing")."""
         return self.evaluation.worst_rates() if self.evaluation else {}
 
-    @property
-    def exists(self) -> bool:
-        """Whether there still is anything of it."""
-        return self.path.is_dir() or input_folder(self.path).is_dir()
-
-    @property
-    def resumable(self) -> bool:
-        """Whether Resume can go on: it has not reached its end, and the add-on knows what it was started with."""
-        return self.state in (STOPPED, FAILED) and bool(self.options) and self.path.is_dir()
-
 
 def find_runs(place: Path) -> list[Path]:
     """Find the runs in a folder, with runs that only have an input because their training never began."""

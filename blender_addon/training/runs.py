@@ -34,7 +34,7 @@ from ..files.writing import write_json
 from ..poses.export import RECORD, Export, read_export
 from ..session import session
 from ..trainer.jobs import Job
-from ..trainer.program import known_options
+from ..trainer.program import OPTIONS
 from ..ui.operator import push_undo
 
 
@@ -103,15 +103,17 @@ def remember_options(run: Path, options: list[str]) -> None:
 
 def remembered_options(run: Path) -> list[str]:
     """The options a run was started with. Raises `InputError` for others."""
-    record = read_json(input_folder(run) / COMMAND)
+    file = input_folder(run) / COMMAND
+    record = read_json(file)
     options, project = record.get("options"), record.get("project", "")
     if not isinstance(options, list) or not all(isinstance(word, str) for word in (*options, project)):
-        raise InputError(f"{input_folder(run) / COMMAND}: not the options of a run")
-    options = known_options(options, input_folder(run) / COMMAND)
-    if not project:
-        return options
-    folder = os.path.normpath(input_folder(run) / project)
-    return [word.replace(PROJECT, folder) for word in options]
+        raise InputError(f"{file}: not the options of a run")
+    if options[-2:] == ["--made-from", "sample:train"]:  # of an earlier version
+        options = [*options[:-2], "--made-from=sample:train"]
+    for word in options:  # a file may be anybody's: only what the add-on itself would have written is repeated
+        if not word.startswith(tuple(f"--{name}=" for name in OPTIONS)):
+            raise InputError(f"{file}: {word.partition('=')[0]} is no option of a run that Blender started")
+    return [word.replace(PROJECT, os.path.normpath(file.parent / project)) if project else word for word in options]
 
 
 def remove(run: Path) -> None:

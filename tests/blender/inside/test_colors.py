@@ -77,6 +77,10 @@ def test_agx_is_told_and_standard_offered():
     assert colors.view_transform_reason(scene) == ""
     scene.view_settings.exposure = 0.5
     assert "exposure" in colors.view_transform_reason(scene)
+    space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID", light="STUDIO"))
+    assert "Studio light" in colors.light_reason(space) and colors.light_reason(None) == ""
+    space.shading.light = "FLAT"
+    assert colors.light_reason(space) == ""
 
 
 def dressed_body(folder, ids=(3, 4, 50)):

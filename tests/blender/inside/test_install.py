@@ -1,6 +1,7 @@
 """What the extension puts into Blender, and that it leaves nothing behind."""
 
 import threading
+import types
 
 import bpy
 import cloak
@@ -109,6 +110,13 @@ def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, mo
     assert left == always | {"train_cancel"}
     with pytest.raises(RuntimeError, match=r"poll\(\).*No active object: click the character's mesh"):
         bpy.ops.cloak.logo_export(filepath="/nonexistent/x.npy")
+
+
+def test_buttons_of_one_operator_have_tooltips_of_their_own():
+    (cls,) = (c for c in cloak.CLASSES if c.__name__ == "CLOAK_OT_stamp_drag")
+    kinds, rna = ("SETTINGS", "LETTER", "SMILEY"), bpy.ops.cloak.stamp_drag.get_rna_type()
+    pressed = [types.SimpleNamespace(bl_rna=rna, kind=kind) for kind in kinds]
+    assert len({cls.description(bpy.context, one) for one in pressed}) == len(kinds)
 
 
 @pytest.mark.parametrize("there", ["nothing", "body", "dressed"])

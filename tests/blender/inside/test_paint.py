@@ -1,11 +1,14 @@
 """The brush: strokes as lists of places, in both modes; and the surface that it asks."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
 from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
-from cloak.blender import faces, mesh_arrays, occlusion
+from cloak.blender import colors, faces, mesh_arrays, occlusion
 from cloak.blender.evaluated import read_surface
+from cloak.logo import overlay
 from cloak.session import session
 from made import add_ngons, centers, make_egg, set_mode, stroke
 from mathutils import Matrix, Vector
@@ -146,6 +149,26 @@ def test_the_tool_stands_in_the_toolbars_with_its_keys():
     for mode in ("EDIT_MESH", "OBJECT"):
         names = [item.idname for item in ToolSelectPanelHelper._tools_flatten(cls._tools[mode]) if item]
         assert names.count("cloak.paint_logo") == 1
+
+
+def test_a_logo_is_seen_while_it_is_painted_under_its_cloak_too(dressed, monkeypatch):
+    faces.new_logo(dressed, "chest", np.arange(len(dressed.data.polygons)) < 9)
+    drawn, tool = [], SimpleNamespace(idname="builtin.select")
+    for kept, name in ((overlay._outline, "outline"), (overlay._tint, "tint")):
+        monkeypatch.setattr(kept, "draw", lambda *_, name=name: drawn.append(name))
+    view = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True), shading=SimpleNamespace(type="MATERIAL"))
+    tools = SimpleNamespace(from_space_view3d_mode=lambda mode, create: tool)
+    context = SimpleNamespace(object=dressed, mode="OBJECT", scene=bpy.context.scene, space_data=view)
+    context.workspace = SimpleNamespace(tools=tools)
+    monkeypatch.setattr(overlay, "bpy", SimpleNamespace(context=context, types=bpy.types))
+    overlay._draw()
+    assert drawn == [], "a tint would falsify the trained colours"
+    tool.idname = overlay.PAINT
+    overlay._draw()
+    assert drawn == ["outline"]
+    colors.undress(dressed)
+    overlay._draw()
+    assert drawn == ["outline", "tint"]
 
 
 # --- quick on large meshes, as the plain way is ----------------------------------------------------------------------
