@@ -184,12 +184,12 @@ def main(arguments: list[str]) -> None:
 
 def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program: str, run: Path) -> None:
     """Export and train, with progress on standard output."""
-    given = {name: getattr(options, name) for name in trainer.PASSED_ON}
-    detector = trainer.absolute_detector(given.pop("detector"))
+    values = {name: getattr(options, name) for name in trainer.PASSED_ON}
+    detector = trainer.absolute_detector(values.pop("detector"))
     for name in ("backgrounds", "config"):  # the trainer works in a folder of its own
-        if Path(given[name]).exists() and given[name]:
-            given[name] = Path(given[name]).absolute()
-    folder, words = runs.input_folder(run), trainer.options([detector], **given)
+        if Path(values[name]).exists() and values[name]:
+            values[name] = Path(values[name]).absolute()
+    folder, words = runs.input_folder(run), trainer.options([detector], **values)
     trainer.allow(words)
     words += ["--made-from=sample:train"] if options.sample else []
     words += [f"--init={options.init.absolute()}"] if options.init else []

@@ -19,8 +19,8 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
     from blender_addon import headless
 
-    given = sys.argv[1:] if bpy.app.binary_path == "" else []
-    code = headless.run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given)
+    arguments = sys.argv[1:] if bpy.app.binary_path == "" else []
+    code = headless.run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else arguments)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             if stream is not None:  # it was closed before Python began

@@ -110,8 +110,8 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
 
     def _checks(self, context: bpy.types.Context, checks: tuple[Verdict, ...]) -> None:
         """The last render check of the chosen run: what came out, and the renders with their scores."""
-        told = session.job_of("Render check")  # whose message stands above
-        for check in checks if len(checks) > 1 or told is None or told.message != checks[0].describe() else ():
+        job = session.job_of("Render check")  # whose message stands above
+        for check in checks if len(checks) > 1 or job is None or job.message != checks[0].describe() else ():
             words = f"{short(check.spec, 30)}: {said(check.describe())}" if len(checks) > 1 else check.describe()
             wrapped(self.layout, context, words, icon="CHECKMARK" if check.holds else "ERROR")
         of_each = [[(f"{s:.2f}", show_icon(s > check.threshold)) for s in check.scores] for check in checks]

@@ -40,10 +40,10 @@ class Viewpoint:
 
     def is_like(self, other: "Viewpoint") -> bool:
         """Whether both viewpoints show the same picture."""
-        mine, theirs = (np.array([v.azimuth, v.elevation, v.field_of_view, *v.place()]) for v in (self, other))
-        turn = abs((mine[0] - theirs[0] + 180) % 360 - 180)
+        own, others = (np.array([v.azimuth, v.elevation, v.field_of_view, *v.place()]) for v in (self, other))
+        turn = abs((own[0] - others[0] + 180) % 360 - 180)
         aspect = abs(self.width / self.height - other.width / other.height)
-        return bool(turn < 0.02 and np.abs(mine[1:] - theirs[1:]).max() < 0.02 and aspect < 0.02)
+        return bool(turn < 0.02 and np.abs(own[1:] - others[1:]).max() < 0.02 and aspect < 0.02)
 
     def place(self) -> np.ndarray:
         """Return the camera's position [3]."""

@@ -137,5 +137,5 @@ class CLOAK_PT_runs(CloakPanel, label="Runs"):
         wrapped(self.layout, context, f"{words}: {state.why}" if state.why else words, icon=RUN_ICONS[state.state])
         if unseen := state.unseen:
             named = (("Unseen", "logo"), ("Own clothing", "clothing"), ("Random", "random"))
-            told = [f"{said(name)} {unseen[control]:.0%}" for name, control in named if control in unseen]
-            figure(self.layout, ", ".join(told), UNSEEN, "VIEWZOOM")
+            rates = [f"{said(name)} {unseen[control]:.0%}" for name, control in named if control in unseen]
+            figure(self.layout, ", ".join(rates), UNSEEN, "VIEWZOOM")

@@ -274,14 +274,14 @@ class LiveColors:
         firsts, scene = [0, *(garment.first for garment in self._garments)], exported_scene(self._run)
         cloths = [read_cloth(*pair, self._run, scene) if dress else None for pair in zip(pieces, firsts, strict=True)]
         for one, first, cloth in zip(pieces, firsts, cloths, strict=True):
-            mine = (self._ids >= first) & (self._ids < first + len(one.data.polygons))
+            on_it = (self._ids >= first) & (self._ids < first + len(one.data.polygons))
             if one.session_uid not in self._own:
                 self._own[one.session_uid] = colors.own_face_colors(one)
             worn = self._own[one.session_uid].copy()
-            worn[self._ids[mine] - first] = values[mine]
+            worn[self._ids[on_it] - first] = values[on_it]
             colors.write_face_colors(one, COLORS, worn)
             if dress:
-                colors.dress(one, self._ids[mine] - first, cloth)
+                colors.dress(one, self._ids[on_it] - first, cloth)
                 colors.activate(one, COLORS)
         if dress:
             colors.show_attribute(obj, COLORS)

@@ -25,7 +25,7 @@ def words() -> dict[str, dict[str, str]]:
 def dictionaries() -> dict[str, dict[tuple[str, str], str]]:
     """What Blender is told: for each language's name, (context, text) and what is shown; Blender 5 has short names."""
     return {
-        name: {(context, text): told[short] for text, told in words().items() for context in CONTEXTS}
+        name: {(context, text): translations[short] for text, translations in words().items() for context in CONTEXTS}
         for language, short in LANGUAGES.items()
         for name in (language, short)
     }

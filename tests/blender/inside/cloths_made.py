@@ -13,13 +13,7 @@ SQUARES, METRES = 8, 0.4
 
 def save_picture(path: Path, squares: np.ndarray) -> None:
     """A PNG of squares [h, w, 3], the first row at the top."""
-    image = bpy.data.images.new("squares", squares.shape[1], squares.shape[0])
-    pixels = np.ones((*squares.shape[:2], 4), np.float32)
-    pixels[..., :3] = squares[::-1]
-    image.pixels.foreach_set(pixels.ravel())
-    image.filepath_raw, image.file_format = str(path), "PNG"
-    image.save()
-    bpy.data.images.remove(image)
+    pictures.save_picture(path, squares[::-1])
 
 
 def cloth_run(folder: Path, obj: bpy.types.Object, ids: np.ndarray, squares: np.ndarray) -> Path:
@@ -47,6 +41,5 @@ def wanted_at(x: np.ndarray, z: np.ndarray, squares: np.ndarray) -> np.ndarray:
     return squares[row % SQUARES, column % SQUARES]
 
 
-def seen_pixels(path: Path, side: int) -> np.ndarray:
-    image = bpy.data.images.load(str(path))
-    return pictures.image_pixels(image).reshape(side, side, -1)[..., :3]
+def seen_pixels(path: Path) -> np.ndarray:
+    return pictures.read_picture(path)[..., :3]

@@ -94,9 +94,7 @@ def select_only(obj: bpy.types.Object, ids) -> None:
 
 
 def centers(obj: bpy.types.Object) -> np.ndarray:
-    values = np.empty(3 * len(obj.data.polygons), np.float32)
-    obj.data.polygons.foreach_get("center", values)
-    return values.reshape(-1, 3)
+    return np.array([polygon.center for polygon in obj.data.polygons], np.float32)
 
 
 def add_camera(place: tuple, target: tuple = (0, 0, 0.9)) -> bpy.types.Object:

@@ -41,7 +41,7 @@ def test_a_render_shows_the_square_that_the_trainer_sees(tmp_path):
     bpy.ops.render.render(write_still=True)
     place = (np.arange(side) + 0.5) / side * 2 - 1
     x, z = np.meshgrid(place, place)
-    off = np.abs(seen_pixels(tmp_path / "wall.png", side) - wanted_at(x, z, squares)).max(-1)
+    off = np.abs(seen_pixels(tmp_path / "wall.png") - wanted_at(x, z, squares)).max(-1)
     assert (off <= 1.001 / 255).mean() > 0.9995, "but for a pixel that is cut by the side of a square"
 
 
@@ -93,7 +93,7 @@ def test_a_body_in_a_ready_cloth_looks_as_the_trainer_renders_it(tmp_path, monke
     command = [os.environ["CLOAK_TRAINER"], str(tmp_path / "core.py"), *words]
     subprocess.run(command, check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
     core = np.load(tmp_path / "core.npz")
-    shown, logo = seen_pixels(tmp_path / "blender.png", side)[::-1], core["logo"]
+    shown, logo = seen_pixels(tmp_path / "blender.png")[::-1], core["logo"]
     off = np.abs(shown - core["worn"]).max(-1)[logo]
     aside = np.abs(np.roll(shown, 3, 1) - core["worn"]).max(-1)[logo]
     means = np.abs(shown - core["worn"][logo].mean(0)).max(-1)[logo]
@@ -144,7 +144,7 @@ def test_the_second_blender_of_render_check_shows_the_cloth(clothed, tmp_path):
     render_check.prepare(plan)
     code = (f"from {MODULE}.result import render_check", f"render_check.run_plan({str(plan.folder / 'plan.json')!r})")
     done = elsewhere(tmp_path, *code)
-    cloak, own = (seen_pixels(path, 416) for path in render_check.image_paths(plan))
+    cloak, own = (seen_pixels(path) for path in render_check.image_paths(plan))
     assert done.returncode == 0, done.stderr
     shown = np.abs(cloak - own).max(-1) > 0.1
     assert shown.mean() > 0.02 and cloak[shown].std(0).min() > 0.1, "more than the grey mean of the faces"

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces, mesh_arrays
+from cloak.blender.pictures import read_picture
 from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import write_face_list
@@ -60,10 +61,7 @@ def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
         scene.display.shading.light, scene.display.shading.color_type = "FLAT", "VERTEX"
         scene.display.render_aa = "OFF"
     bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    pixels = np.empty(4 * (8 * side) ** 2, np.float32)
-    image.pixels.foreach_get(pixels)
-    seen = pixels.reshape(8 * side, 8 * side, 4)[4::8, 4::8, :3].reshape(-1, 3)
+    seen = read_picture(tmp_path / "patch.png")[4::8, 4::8, :3].reshape(-1, 3)
     centers = np.array([p.center[:2] for p in obj.data.polygons])
     order = np.lexsort((centers[:, 0], np.round(centers[:, 1], 3)))
     assert np.abs(seen - wanted[order]).max() <= 1.001 / 255

@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from cloak.blender.pictures import read_picture, save_picture
 from cloak.files.errors import InputError
 from cloak.result import render_check
 from cloak.training import run_list, runs
@@ -13,13 +14,6 @@ from conftest import folder_of, run_job
 from made import make_egg
 from test_colors import made_run
 from test_export import rig
-
-
-def pixels_of(path: Path) -> np.ndarray:
-    image = bpy.data.images.load(str(path), check_existing=False)
-    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(image.size[1], image.size[0], 4)
 
 
 def dressed(folder: Path) -> bpy.types.Object:
@@ -38,7 +32,7 @@ def test_the_camera_is_the_trainers(tmp_path):
     bpy.context.view_layer.update()
     path = tmp_path / "view.png"
     render_check.render_view(obj, path, azimuth=0, size=104, samples=8)
-    picture = pixels_of(path)
+    picture = read_picture(path)
     covered = picture[..., 3] > 0.5
     rows, columns = np.flatnonzero(covered.any(1)), np.flatnonzero(covered.any(0))
     focal = 52 / np.tan(np.radians(30))
@@ -61,7 +55,7 @@ def test_a_rigged_body_is_rendered_in_the_pose_it_stands_in_with_keys_or_without
     render_check.prepare(plan)
     assert bone.rotation_euler.z == pytest.approx(1.2) and armature.animation_data.action, "the user's stays as it is"
     render_check.run_plan(str(tmp_path / "plan.json"))
-    body = np.abs(pixels_of(render_check.image_paths(plan)[0])[..., :3] - 0.5).max(2) > 0.1
+    body = np.abs(read_picture(render_check.image_paths(plan)[0])[..., :3] - 0.5).max(2) > 0.1
     assert np.ptp(np.flatnonzero(body.any(0))) > 1.5 * 416 * 0.7 / (2 * 2.2 * np.tan(np.radians(30)))
 
 
@@ -71,10 +65,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
     settings.angle_first, settings.angle_last, settings.angle_step = -10, 10, 20
     photographs = tmp_path / "photos"
     photographs.mkdir()
-    photo = bpy.data.images.new("photo", 64, 32)
-    photo.pixels.foreach_set(np.tile(np.float32([0, 0, 1, 1]), 64 * 32))
-    photo.filepath_raw, photo.file_format = str(photographs / "blue.png"), "PNG"
-    photo.save()
+    save_picture(photographs / "blue.png", np.tile(np.float32([0, 0, 1]), (32, 64, 1)))
     settings.backgrounds = str(photographs)
     bpy.ops.cloak.render_check()
     job = run_job(400)
@@ -84,7 +75,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
         "detected in 0 of 2 renders with the cloak (highest score 0.10, reported from 0.5), in 2 without" in job.message
     )
     folder = runs.side_folder(folder_of(obj)) / "render check"
-    with_cloak, without = pixels_of(folder / "cloak +10.png"), pixels_of(folder / "own +10.png")
+    with_cloak, without = read_picture(folder / "cloak +10.png"), read_picture(folder / "own +10.png")
     assert with_cloak.shape == (416, 416, 4) and (with_cloak[..., 3] == 1).all()
     assert np.allclose(with_cloak[0, 0], [0, 0, 1, 1], atol=2 / 255)  # the photograph behind
     middle = (slice(150, 260), slice(180, 230))
