@@ -83,22 +83,6 @@ def test_forward_by_the_book(tmp_path: Path, joints: int) -> None:
         assert np.abs(vertices[index] - plain_smpl(model, poses[index], betas[index])).max() < 1e-5
 
 
-@pytest.mark.slow
-def test_against_the_public_package(tmp_path: Path) -> None:
-    smplx = pytest.importorskip("smplx", reason="the smplx package is not installed")
-    import torch
-
-    model = random_model(vertices=6890)
-    np.savez(tmp_path / "m.npz", **model)
-    struct = types.SimpleNamespace(**{**model, "f": model["f"].astype(np.int64)})
-    peer = smplx.SMPL("", data_struct=struct, batch_size=8, vertex_ids=None)
-    poses, betas = random_poses(8)
-    tensor = lambda values: torch.tensor(values, dtype=torch.float32)
-    expected = peer(betas=tensor(betas), global_orient=tensor(poses[:, :3]), body_pose=tensor(poses[:, 3:]))
-    ours = pose_smpl(read_smpl(tmp_path / "m.npz"), poses, betas)
-    assert np.abs(ours - expected.vertices.detach().numpy()).max() < 1e-5
-
-
 # --- the original pickles --------------------------------------------------------------------------------------------
 
 

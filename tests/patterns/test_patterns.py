@@ -1,4 +1,4 @@
-"""Logos cut into patches of a smallest size."""
+"""Logos cut into groups of faces of a smallest size, and the squares of cloth."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,8 @@ from scipy.sparse.csgraph import connected_components
 
 from cloak_core.core.geometry import face_areas
 from cloak_core.core.logo import Logo, load_logo, make_logo
+from cloak_core.exchange.cloth import cloth_coordinates
+from cloak_core.patterns.cloth import Grid
 from cloak_core.patterns.groups import group_of_face
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from tests.core.fakes import box_bodies
@@ -45,3 +47,16 @@ def test_a_piece_that_is_too_small_stays_alone():
     bodies = box_bodies()
     logo = make_logo(bodies, np.array([0, 1, 40]))
     assert group_of_face(bodies, logo, 5.0).tolist() == [0, 0, 1]
+
+
+def test_panels_keep_lengths_and_are_seen_from_outside():
+    points = np.array([[0.1, 1.0, 0.2], [0.1, 1.0, -0.2], [0.3, 1.0, 0.1], [-0.3, 1.0, 0.1]])
+    normals = np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0], [-1.0, 0, 0]])
+    # From the front the body's left is to the right, from behind to the left; from her left, the front is to the left.
+    assert np.allclose(cloth_coordinates(points, normals), [[0.1, -1], [-0.1, -1], [-0.1, -1], [0.1, -1]])
+
+
+def test_squares_touch_their_neighbours_across_the_border():
+    grid = Grid.of(0.5, 0.26)
+    assert grid == Grid(0.5, 2, 2) and grid.neighbours().tolist() == [[0, 1], [0, 2], [1, 3], [2, 3]]
+    assert grid.square_at(grid.centres() + np.array([0.5, -1.0])).tolist() == [0, 1, 2, 3]
