@@ -54,8 +54,6 @@ LOW = 0.25
 
 _FAMILIES = {
     "yolo": "yolo",
-    "rtdetr": "detr",
-    "rt-detr": "detr",
     "detr": "detr",
     "d-fine": "detr",
     "dfine": "detr",
@@ -288,15 +286,6 @@ def transfer_record(results: Results, judged: str) -> dict:
     return record | {"by_seed": [digits(value) for value in by_training(rows)]}
 
 
-def transfer_means(cells: pd.DataFrame) -> dict:
-    """Average the cells of one matrix: mean and worst success at each threshold, and the mean by kinship."""
-    record = {}
-    for suffix in ("", "_own", "_025"):
-        values = cells[f"success{suffix}"].astype(float)
-        record |= {f"mean{suffix}": digits(values.mean()), f"worst{suffix}": digits(values.min())}
-    return record | {f"mean_{kin}": digits(cells.loc[cells["kin"] == kin, "success"].mean()) for kin in KINSHIPS}
-
-
 # --- its files
 
 
@@ -317,12 +306,17 @@ def gather(out: Path) -> list[dict]:
 
 
 def summary(cells: Sequence[dict]) -> dict:
-    """Make what `cloak transfer --json` prints of the cells of one ablation."""
+    """Make what `cloak transfer --json` prints of the cells of one ablation: each, and mean and worst success."""
     shown = ("surrogates", "success", "success_own", "success_025", "ci95", "ci95_own", "ci95_025", "random")
     shown += ("clothing", "grey", "random_025", "n", "kin", "by_seed", "operating_point", "steps", "seconds")
     shown += ("renamed", "renamed_own", "gone", "gone_own", "named")  # earlier versions' cells do not tell
     matrix = {cell["judged"]: {key: cell.get(key) for key in shown} for cell in cells}
-    return {"matrix": matrix} | transfer_means(pd.DataFrame(cells))
+    table, means = pd.DataFrame(cells), {}
+    for suffix in ("", "_own", "_025"):
+        values = table[f"success{suffix}"].astype(float)
+        means |= {f"mean{suffix}": digits(values.mean()), f"worst{suffix}": digits(values.min())}
+    means |= {f"mean_{kin}": digits(table.loc[table["kin"] == kin, "success"].mean()) for kin in KINSHIPS}
+    return {"matrix": matrix} | means
 
 
 def show(cells: Sequence[dict], folder: Path, name: str) -> list[Path]:

@@ -11,6 +11,7 @@ from cloak_core.core.evaluation.results import Results, make_results
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.statistics import summarize
 from cloak_core.core.evaluation.trials import draw_trials
+from cloak_core.studies.report.pictures import describe
 
 CONTROLS = ("logo", "clothing", "grey", "random")
 
@@ -39,25 +40,11 @@ def made_results(
 
 
 def make_summary(results: Results) -> dict:
-    return json.loads(
-        json.dumps(
-            summarize(results, 0.6, 200)
-            | {
-                "n": len(results.trials),
-                "unseen": {"bodies": True, "backgrounds": True},
-                "warnings": [],
-                "settings": asdict(EvaluateSettings()) | {"angles": [-10.0, -5.0, 0.0, 5.0, 10.0]},
-                "inputs": {
-                    "bodies": list(results.body_names),
-                    "scene": "unseen",
-                    "topology": "ab" * 32,
-                    "backgrounds": 30,
-                    "logo_faces": 120,
-                    "detector_hashes": dict.fromkeys(results.detectors, "cd" * 32),
-                },
-            }
-        )
-    )
+    inputs = {"bodies": list(results.body_names), "scene": "unseen", "topology": "ab" * 32, "backgrounds": 30}
+    inputs |= {"logo_faces": 120, "detector_hashes": dict.fromkeys(results.detectors, "cd" * 32)}
+    settings = asdict(EvaluateSettings()) | {"angles": [-10.0, -5.0, 0.0, 5.0, 10.0]}
+    told = {"n": len(results.trials), "unseen": {"bodies": True, "backgrounds": True}, "warnings": []}
+    return summarize(results, 0.6, 200) | told | {"settings": settings, "inputs": inputs}
 
 
 def write_run(folder: Path, config: dict | None = None, results: Results | None = None) -> Path:
@@ -65,18 +52,8 @@ def write_run(folder: Path, config: dict | None = None, results: Results | None 
     folder.mkdir()
     config = config or {"format": "cloak run", "settings": {"preset": "best", "seed": 0, "angles": "-10:10:5"}}
     (folder / "config.json").write_text(json.dumps(config))
-    steps = [
-        {
-            "type": "step",
-            "step": k,
-            "time": k * 0.5,
-            "loss": 1 / k,
-            "disappearance": 0.8 / k,
-            "tv": 0.1,
-            "success": 1 - 1 / k,
-        }
-        for k in range(1, 120)
-    ]
+    told = lambda k: {"loss": 1 / k, "disappearance": 0.8 / k, "tv": 0.1, "success": 1 - 1 / k}
+    steps = [{"type": "step", "step": k, "time": k * 0.5} | told(k) for k in range(1, 120)]
     (folder / "events.jsonl").write_text("\n".join(map(json.dumps, steps)) + "\n")
     if results:
         evaluation = folder / "evaluation"
@@ -98,15 +75,7 @@ def make_pictures(folder: Path, results: Results) -> dict:
         boxes = {spec: [[120.0, 40.0, 280.0, 400.0, s]] if s > 0.3 else [] for spec, s in scores.items()}
         return {"file": name, "scores": scores, "boxes": boxes}
 
-    def label(trial: int) -> dict:
-        return {
-            "trial": trial,
-            "body": results.body_names[results.trials.at[trial, "pose"]],
-            "angle": float(results.trials.at[trial, "angle"]),
-            "distance": 2.2,
-            "background": results.background_names[results.trials.at[trial, "background"]],
-        }
-
+    label = lambda trial: describe(results, trial) | {"distance": 2.2}
     pair = lambda t: label(t) | {"clothing": shoot(t, "clothing"), "logo": shoot(t, "logo")}
     score = results.scores(results.detectors[0], "logo")
     worst = [int(i) for i in np.argsort(-score)[:6] if score[i] > 0.6]

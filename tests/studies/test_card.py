@@ -204,15 +204,12 @@ def test_names() -> None:
     assert names["builtin"] == "builtin" and len(set(names.values())) == 4
 
 
-def test_bad_options_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    for asked, said in (
-        (["builtin", "--quick", "--full"], "--size, --quick, --full, --minutes: one of them"),
-        (["builtin", "--size", "full", "--minutes", "3"], "--size, --quick, --full, --minutes: one of them"),
-        ([], "holds no card"),
-    ):
-        with pytest.raises(SystemExit, match="2"):
-            main(["assess", *asked, "--out", str(tmp_path)])
-        assert said in capsys.readouterr().err
+@pytest.mark.parametrize("size", [["--quick", "--full"], ["--size", "full", "--minutes", "3"], []])
+def test_bad_options_are_one_line(size: list[str], tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["assess", *["builtin"] * bool(size), *size, "--out", str(tmp_path)])
+    said = "--size, --quick, --full, --minutes: one of them" if size else "holds no card"
+    assert said in capsys.readouterr().err
 
 
 S = {"success": 0.3, "renamed_own": None, "gone_own": None, "named_own": None, "state": "measured"}

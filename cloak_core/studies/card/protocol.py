@@ -76,16 +76,6 @@ class Size:
     pixels: int = 416
     """Width and height of the images."""
 
-    @property
-    def front_angles(self) -> tuple[float, ...]:
-        """Test azimuths of the front, degrees."""
-        return tuple(float(a) for a in range(-10, 11, self.front_step))
-
-    @property
-    def circle_angles(self) -> tuple[float, ...]:
-        """Test azimuths all around, degrees."""
-        return tuple(float(a) for a in range(0, 360, self.circle_step))
-
 
 # quick has fewer attacks than the others, none that its updates would leave short (`ENOUGH`).
 QUICK = Size("quick", 300, 1, 5, 30, 3, 240, 128, 40, 3, areas=AREAS[-1:], circle=False)
@@ -144,15 +134,17 @@ def parts_of(told: Mapping, size: Size) -> list[Part]:
         "controls": (CLOTHING, "grey", "random", *NATURAL),
     }
     worn = base | {"images_per_view": size.images_per_view, "controls": BESIDE, "bare": 1}
+    front_angles = tuple(map(float, range(-10, 11, size.front_step)))
     parts = [Part("clean", CLEAN_ANGLES, clean)]
     if told["differentiable"]:
-        front = partial(Part, angles=size.front_angles, settings=worn, steps=size.steps, repetitions=size.seeds)
+        front = partial(Part, angles=front_angles, settings=worn, steps=size.steps, repetitions=size.seeds)
         parts += [front(part_of_area(area), area=area) for area in size.areas]
-        around = Part("circle", size.circle_angles, worn, 2 * size.steps, repetitions=size.seeds)
+        circle_angles = tuple(map(float, range(0, 360, size.circle_step)))
+        around = Part("circle", circle_angles, worn, 2 * size.steps, repetitions=size.seeds)
         parts += [around] * size.circle
     shown = [f"zoo {row['name']}" for row in told["black_box"]["zoo"]]
     shown += [f"pattern {row['name']}" for row in told["patterns"]]
-    parts += [Part(name, size.front_angles, worn) for name in shown]
+    parts += [Part(name, front_angles, worn) for name in shown]
     return parts + [Part("people")] * (told.get("photographs") is not None)
 
 
