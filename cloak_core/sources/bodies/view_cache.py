@@ -74,11 +74,11 @@ class ViewCache:
         self._kept = MemoryCache(self.settings.memory_bytes)
 
     def view(self, pose: int, camera: Camera) -> View:
-        """Return the view, from memory where it was built before."""
+        """Return one view, see `views`."""
         return self.views([(pose, camera)])[0]
 
     def views(self, keys: Sequence[Key]) -> list[View]:
-        """Many views; those not built before are built together."""
+        """Give views, from memory where they were built before; the others are built together."""
         by_key = {key: self._kept.get(("view", *key)) for key in keys}
         new = [key for key, view in by_key.items() if view is None]
         for key, view in zip(new, self.build(new) if new else [], strict=True):
@@ -93,11 +93,9 @@ class ViewCache:
         if baked is None:
             if not 0 <= outfit < self.bodies.outfit_count:
                 raise InputError(f"outfit {outfit}: the scene has {self.bodies.outfit_count}")
-            view = self.view(pose, camera)
-            logo = torch.from_numpy(faces).to(self.device)
-            colors = self._colors[outfit]
-            texture = self._textures[outfit]
-            baked = self._kept.put(key, bake(view, logo, colors, self.settings.light.color, texture))
+            view, logo = self.view(pose, camera), torch.from_numpy(faces).to(self.device)
+            worn = self._colors[outfit], self.settings.light.color, self._textures[outfit]
+            baked = self._kept.put(key, bake(view, logo, *worn))
         return baked
 
     def build(self, keys: Sequence[Key]) -> list[View]:
@@ -113,12 +111,8 @@ class ViewCache:
         return spread(self._build, keys, count)
 
     def _build(self, key: Key, count: int = 1) -> View:
-        screen, light = self.screen([key]), self._view_space_light(*key)
-        stage = backend(self.works_on)
-
-        def lit(band: Window) -> View:
-            return stage.build_view(self._band(key, screen, band), screen, self._surface, *light)
-
+        screen, light, stage = self.screen([key]), self._view_space_light(*key), backend(self.works_on)
+        lit = lambda band: stage.build_view(self._band(key, screen, band), screen, self._surface, *light)
         return View.join(spread(lit, self._bands(screen, count), count)).to(self.device)
 
     def screen(self, keys: Sequence[Key]) -> Screen:

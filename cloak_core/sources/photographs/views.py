@@ -58,7 +58,7 @@ class FitJitter:
     move: tuple[Number, Number] = (0.0, 0.0)
     """Of the faces on the person, in heights of her box, right and down."""
     stretch: tuple[Number, Number] = (1.0, 1.0)
-    """Of the faces about her middle, across and along."""
+    """Of the faces about her middle, across and along. A cloth, which is laid by metres, becomes finer by as much."""
     folds: Number = 1.0
     """Exponent of the shading."""
     exposure: Number = 1.0

@@ -105,12 +105,6 @@ def read_smpl(path: str | Path) -> SmplModel:
     )
 
 
-def rotations(axis_angle: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Convert axis-angle vectors (radians) to rotation matrices."""
-    matrices = Rotation.from_rotvec(axis_angle.reshape(-1, 3)).as_matrix()
-    return matrices.reshape(*axis_angle.shape, 3)
-
-
 def pose_smpl(
     model: SmplModel,
     poses: Float[np.ndarray, "poses angles"],
@@ -126,7 +120,7 @@ def pose_smpl(
         raise InputError(f"poses of {poses.shape[1]} numbers, but {j} joints need {3 * j}")
     if betas.shape[1] > min(len(model.joint_basis), EXPRESSIONS_FROM):
         raise InputError(f"{betas.shape[1]} betas, but the model has {len(model.joint_basis)} shape components")
-    turned = rotations(poses.reshape(count, j, 3).astype(np.float64))
+    turned = Rotation.from_rotvec(poses.reshape(-1, 3).astype(np.float64)).as_matrix().reshape(count, j, 3, 3)
     out = np.empty((count, len(model.weights), 3), np.float32)
     for start in range(0, count, BATCH):
         part = slice(start, start + BATCH)

@@ -11,6 +11,7 @@ from cloak_core.core.geometry import face_centres
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.meshes.importing import import_bodies
+from tests.commands.malformed.making import glb
 from tests.sources.bodies.solids import CUBE, CUBE_FACES, cube, is_closed, sphere
 
 TRIANGLES = cube().triangles
@@ -225,12 +226,7 @@ class Gltf:
 
     def glb(self, path: Path) -> Path:
         self.json["buffers"] = [{"byteLength": len(self.data)}]
-        text = json.dumps(self.json).encode()
-        text += b" " * (-len(text) % 4)
-        body = (
-            struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(self.data), b"BIN\0") + self.data
-        )
-        path.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body)
+        path.write_bytes(glb(self.json, self.data))
         return path
 
     def text(self, path: Path, uri: str | None = None) -> Path:
