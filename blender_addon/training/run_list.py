@@ -130,7 +130,7 @@ def _read(run: Path) -> RunState:
 
 
 class FoundTrainer:
-    """Process of a trainer that another program started: it runs as long as it holds the run's lock."""
+    """Stands for the process of a trainer that another program started: it runs as long as it holds the run's lock."""
 
     def __init__(self, run: Path) -> None:
         self._run = run

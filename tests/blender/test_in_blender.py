@@ -91,14 +91,9 @@ def test_add_on(python: str, files: list[str], extension: Path, tmp_path: Path, 
         "OMP_NUM_THREADS": "1",
         "LC_ALL": "C.UTF-8",
     }
-    command = [python, "-c", RUN_PYTEST, "-c", str(INSIDE / "pytest.ini"), "--rootdir", str(INSIDE)]
-    command += [
-        "-p",
-        "no:cacheprovider",
-        "-q",
-        *(str(INSIDE / file) for file in files),
-        f"--basetemp={tmp_path / 'tmp'}",
-    ]
+    options = ["-c", str(INSIDE / "pytest.ini"), "--rootdir", str(INSIDE), "-p", "no:cacheprovider", "-q"]
+    command = [python, "-c", RUN_PYTEST, *options, *(str(INSIDE / file) for file in files)]
+    command.append(f"--basetemp={tmp_path / 'tmp'}")
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=seconds, check=False)
     summary = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
     assert done.returncode == 0, f"{done.stdout[-8000:]}\n{done.stderr[-4000:]}"
