@@ -17,16 +17,13 @@ def fold_batch_norm(module: nn.Module) -> int:
     for parent in list(module.modules()):
         children = list(parent.named_children())
         for (_, conv), (name, norm) in itertools.pairwise(children):
-            if type(conv) is nn.Conv2d and _is_batch_norm(norm):
+            # Each model of transformers has a copy of torchvision's frozen one under a name of its own.
+            is_norm = isinstance(norm, nn.BatchNorm2d) or type(norm).__name__.endswith("FrozenBatchNorm2d")
+            if type(conv) is nn.Conv2d and is_norm:
                 _fold(conv, norm)
                 setattr(parent, name, nn.Identity())
                 folded += 1
     return folded
-
-
-def _is_batch_norm(module: nn.Module) -> bool:
-    # Each model of transformers has a copy of torchvision's frozen one under a name of its own.
-    return isinstance(module, nn.BatchNorm2d) or type(module).__name__.endswith("FrozenBatchNorm2d")
 
 
 def _fold(conv: nn.Conv2d, norm: nn.Module) -> None:

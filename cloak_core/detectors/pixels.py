@@ -39,7 +39,11 @@ def fit(
     already passes through unchanged.
     """
     height, width = images.shape[-2:]
-    inner = _letterbox_size((height, width), size) if letterbox else size
+    inner = size
+    if letterbox and size[1] * height < size[0] * width:
+        inner = max(1, height * size[1] // width), size[1]
+    elif letterbox:
+        inner = size[0], max(1, width * size[0] // height)
     placement = Placement(scale_x=inner[1] / width, scale_y=inner[0] / height)
     if inner != (height, width):
         images = F.interpolate(images, size=inner, mode="bilinear", align_corners=True)
@@ -49,13 +53,6 @@ def fit(
     right, bottom = size[1] - inner[1] - left, size[0] - inner[0] - top
     images = F.pad(images, (left, right, top, bottom), value=fill)
     return images, Placement(placement.scale_x, placement.scale_y, float(left), float(top))
-
-
-def _letterbox_size(image: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
-    (height, width), (fit_height, fit_width) = image, size
-    if fit_width * height < fit_height * width:
-        return max(1, height * fit_width // width), fit_width
-    return fit_height, max(1, width * fit_height // height)
 
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))

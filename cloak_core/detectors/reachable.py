@@ -31,6 +31,8 @@ MOST = 1 << 18
 """Objects that are followed."""
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented), range)
 _OF_TORCH = (torch.dtype, torch.device, torch.memory_format, torch.layout)
+_LIKE = (list, tuple, dict, np.ndarray)
+"""Kinds of which an object of a class derived from them is more than its items."""
 _UNSAID = {
     *("__dict__", "__weakref__", "__doc__", "__module__", "__annotations__", "__firstlineno__", "__annotate_func__"),
     *("__annotations_cache__", "__static_attributes__", "__slotnames__", "_abc_impl", "__abstractmethods__"),
@@ -78,6 +80,8 @@ class _Walk:
             self._met[id(thing)] = len(self._met), thing
             follow = next((follow for kinds, follow in _KINDS if isinstance(thing, kinds)), _Walk._object)
             follow(self, thing)
+            if isinstance(thing, _LIKE) and type(thing) not in _LIKE:
+                self._object(thing)
 
     def _say(self, *words: object) -> None:
         for word in words:
@@ -99,20 +103,6 @@ class _Walk:
         parts = [made] if isinstance(made, str) else [*made[:3], *(list(part or ()) for part in made[3:5])]
         self._all("made", parts)
 
-    def _list(self, things: list | tuple) -> None:
-        self._all(type(things).__name__, things)
-        if type(things) not in (list, tuple):
-            self._object(things)
-
-    def _dict(self, things: dict | types.MappingProxyType) -> None:
-        self._all("dict", (part for pair in things.items() for part in pair))
-        if isinstance(things, dict) and type(things) is not dict:
-            self._object(things)
-
-    def _set(self, things: set | frozenset) -> None:
-        # Each process has another order of strings.
-        self._say("set", *sorted(content_of(thing) for thing in things))
-
     def _array(self, array: np.ndarray | np.generic) -> None:
         values = np.asarray(array)
         self._say("array", repr(values.dtype), values.shape)
@@ -120,8 +110,6 @@ class _Walk:
             self._all("objects", values.ravel().tolist())
         else:
             self._say(values.tobytes())
-        if isinstance(array, np.ndarray) and type(array) is not np.ndarray:
-            self._object(array)
 
     def _tensor(self, tensor: torch.Tensor) -> None:
         flat = tensor.detach().cpu().flatten().clone(memory_format=torch.contiguous_format)
@@ -209,9 +197,13 @@ _KINDS = (
     (enum.Enum, lambda walk, thing: walk._all("member", [type(thing), thing.name])),
     (torch.Tensor, _Walk._tensor),
     (np.ndarray | np.generic, _Walk._array),
-    (dict | types.MappingProxyType, _Walk._dict),
-    (list | tuple, _Walk._list),
-    (set | frozenset, _Walk._set),
+    (
+        dict | types.MappingProxyType,
+        lambda walk, thing: walk._all("dict", (part for pair in thing.items() for part in pair)),
+    ),
+    (list | tuple, lambda walk, thing: walk._all(type(thing).__name__, thing)),
+    # Each process has another order of strings.
+    (set | frozenset, lambda walk, thing: walk._say("set", *sorted(content_of(part) for part in thing))),
 )
 """How each kind of object is followed; all others as `_Walk._object` says."""
 

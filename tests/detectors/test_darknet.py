@@ -62,24 +62,6 @@ def test_reorg_equals_darknets_loops() -> None:
     assert torch.equal(ours, torch.from_numpy(out).view(1, channels * 4, height // 2, width // 2))
 
 
-def test_region_boxes_by_hand() -> None:
-    text = (
-        "[net]\nwidth=64\nheight=32\n[convolutional]\nfilters=7\nsize=1\n"
-        "[region]\nanchors=2,3\nclasses=2\nnum=1\nsoftmax=1"
-    )
-    network = build_network(text)
-    raw = torch.zeros(1, 7, 4, 8)
-    raw[0, :, 1, 5] = torch.tensor([0.0, 2.0, np.log(0.5), 0.0, 3.0, 1.0, 0.0])
-    boxes, classes, objectness = network.heads[0].decode(raw, network.input_size)
-    cell = 1 * 8 + 5
-    x, y = (5 + 0.5) / 8, (1 + 1 / (1 + np.exp(-2.0))) / 4
-    w, h = 0.5 * 2 / 8, 3 / 4
-    expected = torch.tensor([x - w / 2, y - h / 2, x + w / 2, y + h / 2])
-    torch.testing.assert_close(boxes[0, cell].double(), expected.double(), rtol=1e-6, atol=1e-6)
-    assert objectness[0, cell].item() == pytest.approx(1 / (1 + np.exp(-3.0)))
-    assert classes[0, cell].tolist() == pytest.approx([np.e / (1 + np.e), 1 / (1 + np.e)])
-
-
 def test_yolo_boxes_by_hand() -> None:
     text = (
         "[net]\nwidth=64\nheight=32\n[convolutional]\nfilters=7\nsize=1\n"

@@ -17,7 +17,6 @@ from cloak_core.detectors.defended.table import DEFENCES, list_defences
 from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from cloak_core.studies.report.words import short_name
 from cloak_core.studies.trained_run import trained_against
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 
@@ -227,10 +226,6 @@ def test_bad_defences_are_refused_in_one_line(spec: str, message: str) -> None:
 def test_the_table_is_told_with_the_families() -> None:
     assert [row["defence"] for row in list_families()["defences"]] == list(DEFENCES)
     assert {row["spec"] for row in list_defences()} >= {"jpeg=QUALITY:SPEC", "resize-pad[=LARGEST]:SPEC"}
-
-
-def test_short_names_say_the_defence() -> None:
-    assert short_name("jpeg=75:blur=1:darknet:/dir/a.cfg:/dir/a.weights@224") == "jpeg=75 blur=1 darknet a @224"
 
 
 def test_the_segmenter_masks_a_patch_of_noise_and_leaves_a_plain_wall() -> None:

@@ -40,23 +40,9 @@ def test_detectors_on_windows_drives(spec: str, parts: list[str]) -> None:
     assert parse_spec(spec).parts == parts
 
 
-@pytest.mark.parametrize(
-    ("spec", "named"),
-    [
-        (r"darknet:C:\dir\a.cfg:C:\dir\a.weights", r"a.cfg: no such file"),
-        (r"python:C:\dir\mine.py:load", r"mine.py: no such file"),
-        (r"onnx:C:\dir\a.onnx:detr", r"a.onnx: no such file"),
-        (r"torchvision:fcos_resnet50_fpn:C:\w.pth", r"w.pth: no such file"),
-    ],
-)
-def test_files_on_windows_drives_are_looked_for_whole(spec: str, named: str) -> None:
-    with pytest.raises(InputError, match=rf"^[Cc]:\\(dir\\)?{named}"):
-        load_detector(spec)
-
-
 def test_short_names_leave_folders_out() -> None:
     assert short_name(r"darknet:C:\dir\a.cfg:C:\dir\a.weights@224") == "darknet a @224"
-    assert short_name("darknet:/dir/a.cfg:/dir/a.weights") == "darknet a"
+    assert short_name("jpeg=75:blur=1:darknet:/dir/a.cfg:/dir/a.weights") == "jpeg=75 blur=1 darknet a"
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,4 @@ def defend(inner: Detector, head: str) -> DefendedDetector:
     """
     spec = f"{head}:{inner.spec}"
     name, value = read_head(head, spec)
-    defended = DefendedDetector(inner, name, value, spec).to(inner.device)
-    defended.freeze()
-    return defended
+    return DefendedDetector(inner, name, value, spec).to(inner.device).freeze()

@@ -98,12 +98,8 @@ class EntropyMask(Masking):
     instead of one for each image, and the surroundings' mean in place of inpainting.
     """
 
-    def __init__(self, bits: float) -> None:
-        super().__init__()
-        self.bits = bits
-
     def evidence(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 H W"]:
-        soft = torch.sigmoid((local_entropy(images) - self.bits) / SOFTNESS)
+        soft = torch.sigmoid((local_entropy(images) - self.value) / SOFTNESS)
         # A square alone is no patch: the mean over its neighbourhood decides.
         soft = F.avg_pool2d(soft, 3, 1, 1, count_include_pad=False)
         large = F.interpolate(soft, scale_factor=float(BLOCK), mode="nearest")
@@ -118,7 +114,7 @@ class SegmenterMask(Masking):
     """
 
     def __init__(self, probability: float) -> None:
-        super().__init__()
+        super().__init__(probability)
         self.network, self.shift = load_segmenter(), math.log(probability / (1 - probability))
 
     def evidence(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 H W"]:

@@ -37,9 +37,10 @@ KEPT = 100
 class Masks(Defence):
     """Ask about the image and about each of GRID x GRID masked copies; report what any of them shows."""
 
-    def __init__(self, patch: float) -> None:
-        super().__init__()
-        self.patch = round(patch)
+    @property
+    def patch(self) -> int:
+        """Side of the patch, pixels."""
+        return round(self.value)
 
     def answers(self, inner: Detector, images: Float[Tensor, "B 3 H W"]) -> Iterator[Detections]:
         """Ask the detector about the images under one mask after the other: the KEPT best boxes of each answer."""

@@ -23,6 +23,11 @@ class Defence(nn.Module):
     partial_gradient = ""
     """What the gradient leaves out on purpose, in words; "" where it is exact."""
 
+    def __init__(self, value: float) -> None:
+        """value: its number, as `table.DEFENCES` says what that means."""
+        super().__init__()
+        self.value = value
+
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
         raise NotImplementedError
 
@@ -36,16 +41,11 @@ class Defence(nn.Module):
         with torch.autocast(images.device.type, enabled=False):
             seen, windows = self.placed(images)
         found = inner(seen)
-        return found if windows is None else found._replace(boxes=_restored(found.boxes, windows, images.shape))
-
-
-def _restored(
-    boxes: Float[Tensor, "B N 4"], windows: Float[Tensor, "B 3"], shape: torch.Size
-) -> Float[Tensor, "B N 4"]:
-    """Map boxes seen through windows back to the pixels of the images of this shape."""
-    size = boxes.new_tensor([shape[3], shape[2]] * 2)
-    side, centre = windows[:, None, :1].to(boxes), windows[:, None, [1, 2, 1, 2]].to(boxes)
-    return (side * (2 * boxes / size - 1) + centre + 1) * size / 2
+        if windows is None:
+            return found
+        size = found.boxes.new_tensor([images.shape[3], images.shape[2]] * 2)
+        side, centre = windows[:, None, :1].to(found.boxes), windows[:, None, [1, 2, 1, 2]].to(found.boxes)
+        return found._replace(boxes=(side * (2 * found.boxes / size - 1) + centre + 1) * size / 2)
 
 
 class Jpeg(Defence):
@@ -53,41 +53,29 @@ class Jpeg(Defence):
 
     partial_gradient = "JPEG's rounding is passed straight through"
 
-    def __init__(self, quality: float) -> None:
-        super().__init__()
-        self.quality = quality
-
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
         with torch.no_grad():
-            seen = through_jpeg(images, images.new_full((len(images),), self.quality))
+            seen = through_jpeg(images, images.new_full((len(images),), self.value))
         return straight_through(images, seen)
 
 
 class Blur(Defence):
     """A Gaussian blur, standard deviation in pixels."""
 
-    def __init__(self, sigma: float) -> None:
-        super().__init__()
-        self.sigma = sigma
-
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-        reach = max(1, min(round(3 * self.sigma + 0.5), min(images.shape[2:]) - 1))
-        return blurred(images, images.new_full((len(images),), self.sigma), reach)
+        reach = max(1, min(round(3 * self.value + 0.5), min(images.shape[2:]) - 1))
+        return blurred(images, images.new_full((len(images),), self.value), reach)
 
 
 class Median(Defence):
     """The median of `side` x `side` pixels, channel by channel (Xu et al., "Feature squeezing", NDSS 2018)."""
 
-    def __init__(self, side: float) -> None:
-        super().__init__()
-        self.side = round(side)
-
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-        height, width = images.shape[2:]
-        around = F.pad(images, (self.side // 2,) * 4, mode="replicate")
-        if self.side == 3:
+        (height, width), side = images.shape[2:], round(self.value)
+        around = F.pad(images, (side // 2,) * 4, mode="replicate")
+        if side == 3:
             return _median_of_nine(around)
-        shifted = [around[:, :, y : y + height, x : x + width] for y in range(self.side) for x in range(self.side)]
+        shifted = [around[:, :, y : y + height, x : x + width] for y in range(side) for x in range(side)]
         return torch.stack(shifted).median(dim=0).values
 
 
@@ -115,12 +103,9 @@ class Bits(Defence):
 
     partial_gradient = "rounding to a few levels is passed straight through"
 
-    def __init__(self, bits: float) -> None:
-        super().__init__()
-        self.levels = 2 ** round(bits) - 1
-
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-        return straight_through(images, (images * self.levels).round() / self.levels)
+        levels = 2 ** round(self.value) - 1
+        return straight_through(images, (images * levels).round() / levels)
 
 
 class ResizePad(Defence):
@@ -132,10 +117,6 @@ class ResizePad(Defence):
 
     partial_gradient = "the random place is held fixed"
 
-    def __init__(self, margin: float) -> None:
-        super().__init__()
-        self.margin = margin
-
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
         return self.placed(images)[0]
 
@@ -144,7 +125,7 @@ class ResizePad(Defence):
         windows = []
         for image in pixels:
             random = np.random.default_rng([zlib.crc32(image.tobytes()), 0x9AD])
-            side = 1 / (1 - random.uniform(0, self.margin))
+            side = 1 / (1 - random.uniform(0, self.value))
             x, y = random.uniform(-1, 1, 2) * (side - 1)
             windows.append((side, float(x), float(y)))
         windows = torch.tensor(windows).to(images).view(-1, 3)

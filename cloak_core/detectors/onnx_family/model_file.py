@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,14 +25,8 @@ if TYPE_CHECKING:
     import onnx
 
 DEFAULT_SIDE = 640
-QUANTISED = (
-    "QuantizeLinear",
-    "DequantizeLinear",
-    "QLinearConv",
-    "ConvInteger",
-    "MatMulInteger",
-    "DynamicQuantizeLinear",
-)
+QUANTISED = re.compile(r"(Dynamic)?(Quantize|Dequantize)Linear|QLinear\w+|\w+Integer")
+"""Operators that compute in integers."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -129,7 +124,7 @@ def read_model(path: Path, wanted: tuple[int, int] | None = None) -> ModelFile:
         names=names_of(_literal(said, "names")),
         confidence=confidence_of(said),
         described=described,
-        quantised=tuple(name for kind, name in kinds if kind in QUANTISED)[:3],
+        quantised=tuple(name for kind, name in kinds if QUANTISED.fullmatch(kind))[:3],
         suppresses=next((name for kind, name in kinds if "NMS" in kind or kind == "NonMaxSuppression"), ""),
         licence=licence_of(said) or described.licence,
     )

@@ -77,7 +77,9 @@ def load_ultralytics(request: Request) -> UltralyticsDetector:
         fold_batch_norm(network)
         network = network.to(memory_format=torch.channels_last)
     size = _size(request, checkpoint, int(max(network.stride)))
-    names = _names(checkpoint, architecture)
+    # Without names 80 classes are COCO's, and the only one of a network for poses is the person.
+    usual = {len(COCO): COCO, 1: ("person",) if "Pose" in architecture["head"][-1][2] else None}
+    names = (checkpoint and checkpoint.names) or usual.get(int(architecture["nc"]))
     person = person_index(names, request.person, int(architecture["nc"]), request.what)
     # The package stretches images for RT-DETR and letterboxes them for all others.
     letterbox = request.letterbox or not (request.stretch or architecture["head"][-1][2] == QUERIES)
@@ -85,8 +87,7 @@ def load_ultralytics(request: Request) -> UltralyticsDetector:
     detector.class_names = names
     content = {"file": checkpoint.digest} if checkpoint else {"yaml": sha256_record(architecture), "seed": SEED}
     detector.source = content | {"input_size": list(size), "letterbox": letterbox, "person": person}
-    detector.freeze()
-    return detector
+    return detector.freeze()
 
 
 def _network(architecture: dict, checkpoint: Checkpoint | None, where: str) -> nn.Module:
@@ -130,22 +131,13 @@ def _as_in_the_file(network: nn.Module, checkpoint: Checkpoint) -> None:
         record = checkpoint.modules.get(name)
         if record is None or not type(record).__module__.startswith("torch.nn."):
             continue
-        if (
-            not list(module.children())
-            and not list(module.parameters())
-            and type(record).__name__ != type(module).__name__
-        ):
+        is_plain = not list(module.children()) and not list(module.parameters())
+        if is_plain and type(record).__name__ != type(module).__name__:
             kinds = f"{type(record).__name__} in the file, {type(module).__name__} in the network that it describes"
             raise InputError(f"{checkpoint.path}: {name} is {kinds}: written by a version too old")
         eps = record.state.get("eps")
         if isinstance(eps, float) and hasattr(module, "eps"):
             module.eps = eps
-
-
-def _names(checkpoint: Checkpoint | None, architecture: dict) -> tuple[str, ...] | None:
-    """Find the file's class names; without them COCO's for 80, and the only one of a network for poses."""
-    usual = {len(COCO): COCO, 1: ("person",) if "Pose" in architecture["head"][-1][2] else None}
-    return (checkpoint and checkpoint.names) or usual.get(int(architecture["nc"]))
 
 
 def _size(request: Request, checkpoint: Checkpoint | None, stride: int) -> tuple[int, int]:

@@ -35,7 +35,10 @@ def library() -> Iterator[ModuleType]:
     """
     first = PACKAGE not in sys.modules
     if first:
-        os.environ.update(SWITCHES, YOLO_CONFIG_DIR=_settings_folder())
+        folder = cache_folder(PACKAGE)
+        if folder is None:
+            _kept.append(tempfile.TemporaryDirectory(prefix="cloak-ultralytics-"))
+        os.environ.update(SWITCHES, YOLO_CONFIG_DIR=str(folder or _kept[0].name))
     with _unchanged(), contextlib.redirect_stdout(sys.stderr):
         tasks = importlib.import_module(f"{PACKAGE}.nn.tasks")
         importlib.import_module(f"{PACKAGE}.models.utils.ops")  # what RT-DETR imports when it first runs
@@ -49,14 +52,6 @@ def library() -> Iterator[ModuleType]:
             yield tasks
         finally:
             log.setLevel(logging.ERROR if first else before)
-
-
-def _settings_folder() -> str:
-    folder = cache_folder(PACKAGE)
-    if folder is None:
-        _kept.append(tempfile.TemporaryDirectory(prefix="cloak-ultralytics-"))
-        return _kept[0].name
-    return str(folder)
 
 
 @contextlib.contextmanager
