@@ -86,7 +86,7 @@ def _mean_logit(truth: float, sd: float) -> float:
 def bootstrap(draw: Draw) -> Bounds:
     """Compute the stretched pigeonhole bootstrap's interval alone."""
     hit, count = cells(draw.hits, [draw.seed, draw.body, draw.background])
-    return bootstrap_interval(hit, count, RESAMPLES, 0.95, np.random.default_rng(0))
+    return bootstrap_interval(hit, count, RESAMPLES, np.random.default_rng(0))
 
 
 def korn_graubard(draw: Draw) -> Bounds:
@@ -97,7 +97,7 @@ def korn_graubard(draw: Draw) -> Bounds:
     hit, count = cells(draw.hits, [draw.seed, draw.body, draw.background])
     n = count.sum()
     p = hit.sum() / count.sum()
-    deviation = clustered_deviation(hit - p * count, 0.95) / n
+    deviation = clustered_deviation(hit - p * count) / n
     bodies = len(np.unique(draw.body))
     size = min(bodies, p * (1 - p) / deviation**2) if deviation else bodies
     hits = p * size

@@ -92,7 +92,7 @@ def test_coverage_over_trainings(seed_sd: float, body_sd: float, background_sd: 
         hits = rng.random(144) < 1 / (1 + np.exp(-mean - effects))
         rate = clustered_rate(hits, body, background, seed, resamples=100)
         clustered += rate.low <= truth <= rate.high
-        low, high = bootstrap_interval(*cells(hits, [0 * seed, body, background]), 100, 0.95, rng)
+        low, high = bootstrap_interval(*cells(hits, [0 * seed, body, background]), 100, rng)
         tiled += low <= truth <= high
     assert clustered / 200 >= 0.93
     assert tiled < clustered - 10

@@ -36,6 +36,7 @@ from scipy.special import stdtrit
 
 RESAMPLES = 1000
 LEVEL = 0.95
+_Z = NormalDist().inv_cdf((1 + LEVEL) / 2)
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def clustered_rate(
     hit, count = cells(hits, [np.zeros(n, int) if seeds is None else seeds, bodies, backgrounds])
     value = float(hit.sum() / n)
     bounds = [
-        bootstrap_interval(hit, count, resamples, LEVEL, np.random.default_rng(seed)),
+        bootstrap_interval(hit, count, resamples, np.random.default_rng(seed)),
         wilson(value, int((count.sum(0) > 0).sum())),
         unseen_bodies(value, len(np.unique(bodies))),
     ]
@@ -75,17 +76,16 @@ def clustered_rate(
     return Rate(value, float(low), float(high), n)
 
 
-def wilson(value: float, n: int, level: float = LEVEL) -> tuple[float, float]:
+def wilson(value: float, n: int) -> tuple[float, float]:
     """Compute Wilson's score interval for a share `value` of `n` independent draws."""
-    z = NormalDist().inv_cdf((1 + level) / 2)
-    centre = (value + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(value * (1 - value) / n + z * z / (4 * n * n))
+    centre = (value + _Z * _Z / (2 * n)) / (1 + _Z * _Z / n)
+    half = _Z / (1 + _Z * _Z / n) * math.sqrt(value * (1 - value) / n + _Z * _Z / (4 * n * n))
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def unseen_bodies(value: float, bodies: int, level: float = LEVEL) -> tuple[float, float]:
+def unseen_bodies(value: float, bodies: int) -> tuple[float, float]:
     """Bound a rate by what people unlike every tested body could change."""
-    unlike = 1 - (1 - level) ** (1 / bodies) if bodies > 1 else 0.0
+    unlike = 1 - (1 - LEVEL) ** (1 / bodies) if bodies > 1 else 0.0
     return value * (1 - unlike), value + (1 - value) * unlike
 
 
@@ -100,14 +100,14 @@ def cells(hits: np.ndarray, labels: Sequence[np.ndarray]) -> tuple[np.ndarray, n
 
 
 def bootstrap_interval(
-    hit: np.ndarray, count: np.ndarray, resamples: int, level: float, rng: np.random.Generator
+    hit: np.ndarray, count: np.ndarray, resamples: int, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Compute the pigeonhole bootstrap's interval, stretched to the multiway clustered deviation."""
     value = hit.sum() / count.sum()
     n = count.sum()
     draws = _pigeonhole(hit, count, resamples, rng)
-    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
-    stretch = clustered_deviation(hit - value * count, level) / n / max(float(draws.std()), 1e-12)
+    low, high = np.quantile(draws, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    stretch = clustered_deviation(hit - value * count) / n / max(float(draws.std()), 1e-12)
     return max(0.0, value - stretch * (value - low)), min(1.0, value + stretch * (high - value))
 
 
@@ -125,10 +125,8 @@ def _pigeonhole(hit: np.ndarray, count: np.ndarray, resamples: int, rng: np.rand
     return hits[some] / images[some] if some.any() else np.array([hit.sum() / count.sum()])
 
 
-def clustered_deviation(residual: np.ndarray, level: float) -> float:
+def clustered_deviation(residual: np.ndarray) -> float:
     """Compute the multiway clustered deviation of the number of hits; `residual` is each cell's excess."""
-    upper = (1 + level) / 2
-    z = NormalDist().inv_cdf(upper)
     axes = [axis for axis, n in enumerate(residual.shape) if n > 1]
     variance, largest = 0.0, 0.0
     for order in range(1, len(axes) + 1):
@@ -137,7 +135,7 @@ def clustered_deviation(residual: np.ndarray, level: float) -> float:
             part = float((residual.sum(others) ** 2).sum())
             if order == 1:
                 n = residual.shape[kept[0]]
-                part *= n / (n - 1) * (stdtrit(n - 1, upper) / z) ** 2
+                part *= n / (n - 1) * (stdtrit(n - 1, (1 + LEVEL) / 2) / _Z) ** 2
                 largest = max(largest, part)
             variance += part if order % 2 else -part
     return math.sqrt(max(variance, largest))
