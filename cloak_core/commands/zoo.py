@@ -167,12 +167,11 @@ class Export(Command):
         from cloak_core.zoo.entry import entry
 
         found = entry(self.name)
-        told = {"out": str(self.out), "faces": len(found.ids), "name": found.record["name"], "format": self.format}
         if self.format == "run":
             found.write_run(self.out)
         else:
             self._write_glb(found)
-        return told
+        return {"out": str(self.out), "faces": len(found.ids), "name": found.record["name"], "format": self.format}
 
     def _write_glb(self, found: Entry) -> None:
         from cloak_core.core.logo import load_logo
