@@ -2,16 +2,13 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
-from cloak_core.commands.evaluate import Evaluate
-from cloak_core.core.detector.protocol import Detections, detector_record
+from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.run_folder import RunFolder
 from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.colors import read_colors, write_colors
@@ -35,18 +32,6 @@ from tests.sources.photographs.made_people import write_people
 pytestmark = pytest.mark.slow
 HOW = {"size": 128, "bare": 2, "resamples": 100, "backgrounds": "procedural:test:2"}
 CONTROLS = {"logo", "clothing", "grey", "random", "resampled"}
-MODULE = """
-import torch
-class Tiny(torch.nn.Module):
-    def __init__(self):
-        super().__init__()
-        torch.manual_seed(0)
-        self.layer = torch.nn.Conv2d(3, 5, 16, stride=16)
-    def forward(self, images):
-        return self.layer(images)
-def make():
-    return Tiny()
-"""
 
 
 @pytest.fixture
@@ -94,17 +79,6 @@ def test_names_alone_do_not_tell_what_is_unseen(path: Path) -> None:
     assert seen == {"photographs": None} and "does not record its training photographs" in warnings[0]
     assert photographs_seen_in_training({"people": None, "format": "cloak run"}, []) == ({"photographs": True}, [])
     assert photographs_seen_in_training(None, []) == ({"photographs": None}, [])
-
-
-def test_a_renamed_detector_is_a_white_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "one").mkdir()
-    (tmp_path / "one" / "tiny.py").write_text(MODULE)
-    monkeypatch.chdir(tmp_path / "one")
-    known, copy = load_detector("python:tiny.py:make"), load_detector("python:./tiny.py:make")
-    (tmp_path / "one" / "other.py").write_text(MODULE.replace("manual_seed(0)", "manual_seed(1)"))
-    other = load_detector("python:other.py:make")
-    config = {"detectors": [{"spec": known.spec} | detector_record(known)]}
-    assert trained_against(config, {"copy": copy, "other": other}) == {"copy": True, "other": False}
 
 
 def test_a_copied_onnx_file_is_a_white_box(tmp_path: Path) -> None:
@@ -239,21 +213,6 @@ def test_what_photographs_do_not_have_is_refused(run: Path, path: Path, words: s
     assert not (run / "evaluation-people").exists()
 
 
-def test_a_detector_that_changes_is_a_defect_on_photographs_too(run: Path, path: Path) -> None:
-    class Drifting(RedDetector):
-        def __init__(self) -> None:
-            super().__init__()
-            self.register_buffer("calls", torch.zeros(1))
-
-        def forward(self, images: torch.Tensor) -> Detections:
-            self.calls += 1
-            return super().forward(images)
-
-    with pytest.raises(RuntimeError, match="changed while"):
-        evaluate(run, people=path, detectors={"drifting": Drifting()}, **HOW)
-    assert not (run / "evaluation-people").exists()
-
-
 def test_an_evaluation_of_an_earlier_version_is_replaced_and_not_believed(run: Path, path: Path) -> None:
     folder = run / "evaluation-people"
     folder.mkdir()
@@ -280,23 +239,6 @@ def test_the_zoo_copies_what_content_told(run: Path, path: Path, tmp_path: Path)
     assert record["people"]["detectors"]["builtin"].keys() == CONTROLS
     kept = json.loads(np.load(tmp_path / "mine.npz")["config"].tobytes())["people"]
     assert kept["pixels"] == config["people"]["pixels"] and not any("." in look for look in kept["looks"])
-
-
-def test_the_command_says_it(run: Path, path: Path, capsys: pytest.CaptureFixture) -> None:
-    from cloak_core.core.evaluation.settings import EvaluateSettings
-
-    settings = replace(EvaluateSettings(), size=128, bare=2, resamples=100)
-    judges = ("builtin", write_tiny(run))
-    command = Evaluate(
-        run_folder=run, people=str(path), backgrounds="procedural:test:2", settings=settings, detector=judges
-    )
-    command.show(command.run())
-    lines = capsys.readouterr().out.splitlines()
-    assert any("builtin" in line and "│ white" in line for line in lines), "a name beside all the controls"
-    assert any("darknet" in line and "│ black" in line for line in lines)
-    said = " ".join(" ".join(lines).split())
-    assert "3 people in 3 photographs; left out: nobody; training saw none of these photographs" in said
-    assert "resampled" in said and "renamed" in said
 
 
 @pytest.mark.long

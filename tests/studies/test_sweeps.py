@@ -125,17 +125,6 @@ def test_what_was_made_of_other_content_is_not_taken_for_done(tmp_path, runs, mo
     assert before.write_results()["done"] == 1  # what is as it was is found again
 
 
-@pytest.mark.slow
-def test_a_file_that_settings_name_is_known_by_its_content(tmp_path, runs):
-    palette = tmp_path / "palette.txt"
-    run = dataclasses.replace(runs[0], settings=runs[0].settings.changed(palette=str(palette), nps_weight=1.0))
-    palette.write_text("0.1 0.1 0.1\n0.9 0.9 0.9\n")
-    before = Sweep([run], tmp_path / "out").folders
-    assert Sweep([run], tmp_path / "out").folders == before
-    palette.write_text("0.1 0.1 0.1\n0.9 0.9 0.8\n")
-    assert Sweep([run], tmp_path / "out").folders != before
-
-
 def test_the_results_of_an_earlier_version_are_refused_in_one_line(tmp_path, runs):
     results = tmp_path / "out" / "results"
     results.mkdir(parents=True)
@@ -201,18 +190,6 @@ def test_table_of_runs_with_different_ends():
     assert lines[0] == "| a | steps | seconds | loss | success | run |"
     assert lines[2] == "| x+y\\|z | 3 | 2 | 0.5000 | 1.0000 | runs/a |"
     assert lines[3] == "| 2 |  |  |  |  | failed: no |"
-
-
-def test_base_and_grid_are_merged_before_they_are_checked(tmp_path):
-    base = "[base]\nscene = 'sample'\nlogo = 'chest.npy'\n"
-    runs = grid(tmp_path, base + "epochs = 2\n[grid]\nsteps = [3, 4]\n")
-    assert [(run.settings.run.steps, run.settings.run.epochs) for run in runs] == [(3, None), (4, None)]
-    runs = grid(tmp_path, base + "momentum = 0.9\n[grid]\noptimizer = ['sgd']\n")
-    assert runs[0].settings.optimization.momentum == 0.9
-    runs = grid(tmp_path, base + "size = 64\n[grid]\ntranslation = [4, 8]\n")
-    assert [run.settings.augmentation.translation for run in runs] == [4, 8]
-    with pytest.raises(InputError, match=r"grid.toml: --momentum: Adam"):
-        grid(tmp_path, base + "momentum = 0.9\n[grid]\nlr = [1]\n")
 
 
 def test_options_replace_what_the_base_says(tmp_path):
