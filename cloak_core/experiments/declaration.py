@@ -35,7 +35,7 @@ class Cell:
     specs: Sequence[str] = ()
     """Detectors trained against; the first where none are named."""
     training: Mapping[str, object] = field(default_factory=dict)
-    """Further arguments of `RunStore.train_faces`: settings, bodies, precision."""
+    """Further arguments of `RunStore.train_faces`: settings, bodies."""
     pattern: Pattern | None = None
     """To be judged without training."""
     begun: Sequence[str] = ()

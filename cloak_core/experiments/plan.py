@@ -73,7 +73,7 @@ def _row(number: int, cell: Cell, store: RunStore, paces: dict[str, Pace]) -> Ro
     judges = cell.judges or specs
     updates = batch = 0
     if cell.pattern is None:
-        changes = {key: value for key, value in cell.training.items() if key not in ("bodies", "precision")}
+        changes = {key: value for key, value in cell.training.items() if key != "bodies"}
         settings = store.train_settings(store.options.seed, specs, **changes)
         updates = len(store.options.seed_list) * settings.total_steps(len(store.split.backgrounds))
         batch = settings.run.batch

@@ -5,9 +5,8 @@ Each key is a hash of everything that decides the result, so several experiments
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -84,24 +83,21 @@ class RunStore(TrainingStore):
         *,
         bodies: Bodies | None = None,
         seed: int = 0,
-        precision: str = "float32",
         **changes: object,
     ) -> Trained:
         """Train colours for these faces against these detectors, or find them.
 
-        bodies: the split's training bodies where none are given. precision: of the detectors. changes: training
-        settings by name. Stopped: the training was stopped in order.
+        bodies: the split's training bodies where none are given. changes: training settings by name. Stopped: the
+        training was stopped in order.
         """
         bodies = bodies or self.split.bodies
         settings = self.train_settings(seed, specs, **changes)
         logo = make_logo(bodies, faces)
-        with _precision([self.split.detectors[spec] for spec in specs], precision) as detectors:
-            training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self._people)
-            # A run that it begins with has no name for people.
-            told = "".join(
-                f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds")
-            )
-            return self.train_once(training, self.folder(training), f"against {_short(specs)}{told}, seed {seed}")
+        detectors = [self.split.detectors[spec] for spec in specs]
+        training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self._people)
+        # A run that it begins with has no name for people.
+        told = "".join(f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds"))
+        return self.train_once(training, self.folder(training), f"against {_short(specs)}{told}, seed {seed}")
 
     @cached_property
     def _people(self) -> Fits:
@@ -234,16 +230,3 @@ class RunStore(TrainingStore):
 
 def _short(specs: Sequence[str]) -> str:
     return ", ".join(map(short_name, specs))
-
-
-@contextlib.contextmanager
-def _precision(detectors: Sequence[Detector], precision: str) -> Iterator[Sequence[Detector]]:
-    """Run the detectors in this precision for a while."""
-    before = [detector.precision for detector in detectors]
-    try:
-        for detector in detectors:
-            detector.precision = precision
-        yield detectors
-    finally:
-        for detector, old in zip(detectors, before, strict=True):
-            detector.precision = old

@@ -129,10 +129,11 @@ class Azimuths(Parsable):
 
     @classmethod
     def parse(cls, text: str) -> Azimuths:
-        low, dots, high = text.partition("..")
-        if not dots:
+        if ".." not in text:
             return cls(Angles.parse(text))
-        (first,), (last,) = _numbers(low, None, text), _numbers(high, None, text)
+        first, last, *more = _numbers(text, "..")
+        if more:
+            raise ValueError(f"{text!r} is neither angles nor LOW..HIGH")
         if last <= first:
             raise ValueError(f"{text!r} ends before it begins")
         if last - first > 360 or max(abs(first), abs(last)) > 360:
@@ -164,16 +165,16 @@ class Azimuths(Parsable):
         return str(self.of) if isinstance(self.of, Angles) else _spelled((self.of.low, self.of.high), "..")
 
 
-def _numbers(text: str, separator: str | None, whole: str | None = None) -> tuple[float, ...]:
-    """Read the finite numbers in a text (of `whole`, for the message)."""
+def _numbers(text: str, separator: str) -> tuple[float, ...]:
+    """Read the finite numbers in a text. ValueError: one is none."""
     numbers = []
-    for part in text.split(separator) if separator else [text]:
+    for part in text.split(separator):
         try:
             number = float(part)
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise ValueError(f"{part.strip()!r} in {whole or text!r} is not a number")
+            raise ValueError(f"{part.strip()!r} in {text!r} is not a number")
         numbers.append(number)
     return tuple(numbers)
 

@@ -283,16 +283,13 @@ class Hardening(Loop):
         for mark, target in (("network.", self.student.network.state_dict()), ("averaged.", self.averaged)):
             for name, value in target.items():
                 value.copy_(tensors[mark + name])
-        adam = {name.removeprefix("adam."): value for name, value in tensors.items() if name.startswith("adam.")}
-        self._load_adam({name: value.to(self.pool.device) for name, value in adam.items()})
-        self.pool.load(tensors)
-
-    def _load_adam(self, tensors: dict[str, Tensor]) -> None:
         states: dict[int, dict[str, Tensor]] = {}
         for name, value in tensors.items():
-            number, _, key = name.partition(".")
-            states.setdefault(int(number), {})[key] = value.cpu() if key == "step" else value
+            if name.startswith("adam."):
+                _, number, key = name.split(".")
+                states.setdefault(int(number), {})[key] = value.to("cpu" if key == "step" else self.pool.device)
         self.optimizer.load_state_dict(self.optimizer.state_dict() | {"state": states})
+        self.pool.load(tensors)
 
 
 def rate(step: int, steps: int) -> float:
