@@ -9,8 +9,7 @@ coverage_rms: the same of the coverage; gradient_smooth, gradient_white: relativ
 a smooth and for a white-noise upstream gradient; starved: share of the faces with more than 0.02 px^2 visible that
 receive no gradient. From visibility alone, with the same light on both sides, none but the surface's own colour:
 image_visibility and gradient_visibility (smooth), and hidden: the share of all weight that goes to faces that are
-invisible in that pixel. given_up: pixels of too many pieces to be exact, which are sampled 64 x 64. Nothing is compared
-in pixels that the reference gave up.
+invisible in that pixel. given_up: pixels of too many pieces to be exact, which are sampled 64 x 64.
 """
 
 from __future__ import annotations

@@ -33,8 +33,9 @@ def test_the_record_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     checks = {"one wrong": lambda: (1, ""), "absent": lambda: None}
     monkeypatch.setattr(stability, "CASES", some)
     monkeypatch.setattr(stability, "CHECKS", checks)
+    monkeypatch.setattr(stability, "area_mismatches", lambda case: int(case.has_areas))
     result = stability.run_bench_stability(grids=(1,), seeds=2)
-    assert (result["cases"], result["mismatches"]) == (6 + 4 + 1, 1)
+    assert (result["cases"], result["mismatches"]) == (6 + 4 + 1, 2 + 1)
     assert result["by_case"]["absent"]["cases"] == 0 and "not run" in result["by_case"]["absent"]["remark"]
 
 
