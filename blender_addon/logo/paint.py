@@ -126,7 +126,8 @@ touches; with X-Ray on, also those behind, all through the body"""
         self._obj, self.surface = obj, read_surface(context, obj)
         if self.action == "REMOVE":
             faces.active_logo(obj)
-        settings, shading = context.scene.cloak, context.space_data.shading
+        settings = context.scene.cloak
+        shading = context.space_data.shading
         self.mirror, self._pixels = settings.brush_mirror, settings.brush_radius
         self._through = shading.show_xray_wireframe if shading.type == "WIREFRAME" else shading.show_xray
         self.stroke.clear()

@@ -123,7 +123,8 @@ def _evaluate(
     """Vertices [V, 3] in scene axes and metres, and the rest, which was so before; `InputError` where it changed."""
     with evaluated_mesh(obj, graph) as (mesh, matrix):
         world = to_world(vertex_points(mesh), matrix) * graph.scene.unit_settings.scale_length
-        points, loops = scene_axes(world).astype(np.float32), polygon_loops(mesh)
+        points = scene_axes(world).astype(np.float32)
+        loops = polygon_loops(mesh)
         if before is not None:
             same = map(np.array_equal, loops, (before.loop_total, before.loop_vertices))
             if len(points) == before.vertex_count and all(same):

@@ -203,7 +203,8 @@ def _state_of(context: bpy.types.Context, obj: bpy.types.Object) -> Callable[[],
             if before is None:
                 owner.animation_data_clear()
                 continue
-            now, (use_nla, action, slot) = owner.animation_data, before
+            use_nla, action, slot = before
+            now = owner.animation_data
             now.use_nla = use_nla
             if now.action != action:
                 now.action = action

@@ -99,7 +99,9 @@ class Eye:
         self.seen: Seen | None = None
         self.region = region  # the viewport that is looked from, by its address; 0 for any
         self.waiting = False
-        self._uid, self._folder, self._answer = obj.session_uid, folder, folder / "look.json"
+        self._uid = obj.session_uid
+        self._folder = folder
+        self._answer = folder / "look.json"
         self._program = trainer()
         self._asked: tuple = ()
         self._asked_from: Viewpoint | None = None
@@ -114,7 +116,10 @@ class Eye:
         log = self._folder / "look.log"
         log.unlink(missing_ok=True)
         self._process = start_process(command, subprocess.DEVNULL, log, stdin=subprocess.PIPE)
-        self.specs, self.seen, self.waiting, self._asked = specs, None, False, ()
+        self.specs = specs
+        self.seen = None
+        self.waiting = False
+        self._asked = ()
 
     @property
     def object(self) -> bpy.types.Object | None:
@@ -226,7 +231,8 @@ def close_eye(*_: object, why: str = "") -> None:
         bpy.app.timers.unregister(tick)
     if session.eye is not None:
         session.eye.close()
-    session.eye, session.eye_closed_because = None, why
+    session.eye = None
+    session.eye_closed_because = why
 
 
 @between_strokes(TICK_SECONDS)
@@ -301,7 +307,8 @@ def lines(watching: Eye, fits: bool) -> list[tuple[str, tuple[float, float, floa
 def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:
     """Draw the reported boxes, those of the cloak with thicker lines."""
     for kind, glance in [pair for glances in seen.glances.values() for pair in glances.items()]:
-        (name, color), thickness = KINDS[kind], (3 if kind == "cloak" else 2) * scale
+        name, color = KINDS[kind]
+        thickness = (3 if kind == "cloak" else 2) * scale
         for box in (box for box in glance.boxes if box[4] > glance.operating_point):
             x1, y1, x2, y2 = box_in(place, box, seen)
             frame(x1, y1, x2, y2, color, thickness)

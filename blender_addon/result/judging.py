@@ -93,8 +93,8 @@ beside controls on the same images. The result is shown here and as a ring aroun
         run, judging = run_of(obj), settings.judging
         azimuths = len(range(-AROUND, AROUND, judging.angle))
         angles = f"{-AROUND}:{-AROUND + (azimuths - 1) * judging.angle}:{judging.angle}"
-        bare, device = min(BARE, judging.images), settings.device
-        words = ["evaluate", run, *options(judges(settings), angles=angles, bare=bare, device=device)]
+        bare = min(BARE, judging.images)
+        words = ["evaluate", run, *options(judges(settings), angles=angles, bare=bare, device=settings.device)]
         # One pose must do for all the images; of more poses some are drawn.
         words += [f"--images-per-view={math.ceil(judging.images / azimuths)}", f"--most-images={judging.images}"]
         words.append(judging.backgrounds_option)
@@ -137,7 +137,8 @@ It goes on looking as you move, and while a training runs, until this is pressed
         folder.mkdir(parents=True, exist_ok=True)
         in_viewport = context.area is not None and context.area.type == "VIEW_3D"
         region = main_region(context.area).as_pointer() if in_viewport else 0
-        session.eye, session.eye_closed_because = eye.Eye(active_body(context), context.scene.cloak, folder, region), ""
+        session.eye = eye.Eye(active_body(context), context.scene.cloak, folder, region)
+        session.eye_closed_because = ""
         if not bpy.app.background:
             bpy.app.timers.register(eye.tick)
         return f"{', '.join(session.eye.specs)}: getting ready to look"

@@ -139,7 +139,8 @@ class Verdict:
 
 def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> tuple[Verdict, ...]:
     """What each detector said about the images of `image_paths`; kept beside them for `last_verdicts`."""
-    images, found = [path.name for path in image_paths(plan)], {}
+    images = [path.name for path in image_paths(plan)]
+    found = {}
     try:
         for number, spec in enumerate(specs):
             records = [json.loads(text) for text in answers[number * len(images) :][: len(images)]]

@@ -63,7 +63,8 @@ def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
     """Corners [3 n, 2] around the origin, in shares of the body's extent, and their colours [3 n, 4] sRGB."""
     places, paints = [np.zeros((0, 2))], [np.zeros((0, 4))]
     for first, last, sector in arcs(sectors):
-        gap, count = min(0.5, 0.05 * (last - first)), max(1, math.ceil((last - first) / STEP))
+        gap = min(0.5, 0.05 * (last - first))
+        count = max(1, math.ceil((last - first) / STEP))
         turns = on_circle(np.linspace(first + gap, last - gap, count + 1))
         a, b = turns[:-1], turns[1:]
         bands = ((MIDDLE, OUTER, sector.cloak), (INNER, MIDDLE - 0.02, sector.clothing))

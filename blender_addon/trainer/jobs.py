@@ -24,7 +24,8 @@ from .preferences import trainer
 from .program import cloak_command, start_process
 from .progress import Progress, duration, read_events
 
-TICK_SECONDS, NOTICE_SECONDS = 0.25, 10.0
+TICK_SECONDS = 0.25
+NOTICE_SECONDS = 10.0  # for which the status bar says how a job ended that no panel shows
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
 OnEnd = Callable[["Job"], str | None] | None
 """Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""

@@ -248,7 +248,8 @@ def _told(job: Job, spec: str) -> str | None:
     except (ValueError, TypeError, IndexError):
         record = {}
     found = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
-    failed, point = [str(name) for name in record.get("failed", [])], finite(record.get("operating_point"))
+    failed = [str(name) for name in record.get("failed", [])]
+    point = finite(record.get("operating_point"))
     works = job.state == "done" and not failed
     job.is_bad_news = not works
     if job.state == "stopped" and not failed:  # nothing is known: it can be checked again

@@ -271,7 +271,8 @@ class LiveColors:
         require_same_topology(obj, self._topology)
         # All are there and the cloth is whole, or nothing is written.
         pieces = [obj, *pieces_of(obj, self._garments)]
-        firsts, scene = [0, *(garment.first for garment in self._garments)], exported_scene(self._run)
+        firsts = [0, *(garment.first for garment in self._garments)]
+        scene = exported_scene(self._run)
         cloths = [read_cloth(*pair, self._run, scene) if dress else None for pair in zip(pieces, firsts, strict=True)]
         for one, first, cloth in zip(pieces, firsts, cloths, strict=True):
             on_it = (self._ids >= first) & (self._ids < first + len(one.data.polygons))
