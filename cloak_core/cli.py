@@ -56,8 +56,8 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "Defend": {
         "assess": "assess:Assess",
-        "leaderboard add": "leaderboard:Add",
-        "leaderboard build": "leaderboard:Build",
+        "leaderboard add": "assess:Add",
+        "leaderboard build": "assess:Build",
         "harden": "harden:Harden",
     },
     "Wear and print": {
@@ -68,7 +68,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "reproduce": "reproduce:Reproduce",
         "zoo reproduce": "zoo:Reproduce",
         "zoo add": "zoo:Add",
-        "look": "look:Look",
+        "look": "detectors:Look",
         "bench views": "bench:Views",
         "bench accuracy": "bench:Accuracy",
         "bench growth": "bench:Growth",

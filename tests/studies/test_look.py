@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.commands import look as command
+from cloak_core.commands import detectors as command
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import write_colors
