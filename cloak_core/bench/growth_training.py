@@ -20,8 +20,8 @@ from cloak_core.files.writing import write_json
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs.annotation import BLAZEPOSE
 from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.sources.photographs.landmarks import BLAZEPOSE
 from cloak_core.sources.photographs.people import People, Person, load_people
 from cloak_core.studies.coco import run_lengths
 from cloak_core.studies.imagery import people_images

@@ -8,8 +8,15 @@ import numpy as np
 from jaxtyping import Bool
 
 from cloak_core.files.errors import InputError
-from cloak_core.sources.photographs.landmarks import LIMBS, SEEN, Landmarks, read_landmarks
-from cloak_core.sources.photographs.masks import draw_mask, numbers, read_mask
+from cloak_core.sources.photographs.annotation import (
+    LIMBS,
+    SEEN,
+    Landmarks,
+    draw_mask,
+    numbers,
+    read_landmarks,
+    read_mask,
+)
 from cloak_core.sources.photographs.person import Box
 
 LEAST_HEIGHT = 96

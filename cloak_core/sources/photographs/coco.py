@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import is_number, read_json
-from cloak_core.sources.photographs.masks import MAX_SIDE
+from cloak_core.sources.photographs.annotation import MAX_SIDE
 
 MAX_COCO_BYTES = 1 << 29
 """COCO's own keypoints of train2017 are half of it, with 262,465 annotations."""

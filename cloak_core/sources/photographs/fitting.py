@@ -21,7 +21,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.sources.photographs.landmarks import INDEX, Landmarks
+from cloak_core.sources.photographs.annotation import INDEX, Landmarks
 from cloak_core.sources.photographs.person import Person
 from cloak_core.sources.photographs.posing import LIMBS, Posed, pose_to
 from cloak_core.sources.photographs.rig import NUMBER, SEGMENTS, Rig, body_rig

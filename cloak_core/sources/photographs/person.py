@@ -21,7 +21,7 @@ from cloak_core.core.pictures import open_picture
 from cloak_core.files.caching import MemoryCache
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.sources.photographs.landmarks import Landmarks
+from cloak_core.sources.photographs.annotation import Landmarks
 
 DECODED_BYTES = 256 << 20
 _decoded = MemoryCache(DECODED_BYTES)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from cloak_core.core.cameras import Number
 from cloak_core.sources.bodies.people.skeleton import smallest_turn, unit
-from cloak_core.sources.photographs.landmarks import INDEX, SEEN, Landmarks
+from cloak_core.sources.photographs.annotation import INDEX, SEEN, Landmarks
 from cloak_core.sources.photographs.rig import SEGMENTS, Rig
 
 LENGTHS = (0.85, 1.2)
@@ -31,7 +31,7 @@ LIMBS = {
     "shin": ("knee", "ankle"),
 }
 Joints = dict[str, Float[np.ndarray, " 3"]]
-"""Places in view space, by the names of `landmarks.NAMES`."""
+"""Places in view space, by the names of `annotation.NAMES`."""
 _BENT = {"arm": 0.0, "forearm": 1.0, "thigh": 1.0, "shin": -1.0}
 """Which way a limb leans where nobody tells its depth: forwards or backwards."""
 

@@ -36,26 +36,6 @@ def test_closed_and_outward() -> None:
     assert not outward_parts(inside_out).any()
 
 
-def test_inner_edges_of_three_sides_of_a_cube() -> None:
-    # -x, +x and +z: the two edges of +z with the others; -x and +x do not touch.
-    pairs, lengths = inner_edges(cube(), np.array([0, 1, 5]))
-    assert sorted(map(tuple, pairs.tolist())) == [(0, 2), (1, 2)]
-    assert np.allclose(lengths, 1)
-
-
-def test_inner_edges_in_metres_of_the_first_pose() -> None:
-    body = cube()
-    stretched = Bodies(
-        np.concatenate([body.vertices * [1, 3, 1], body.vertices]),
-        body.triangles,
-        body.triangle_face,
-        loop_total=body.loop_total,
-        loop_vertices=body.loop_vertices,
-    )
-    _, lengths = inner_edges(stretched, np.array([0, 5]))
-    assert np.allclose(lengths, 3)
-
-
 def test_inner_edges_against_brute_force() -> None:
     body = sample_bodies("unseen")
     ids = np.flatnonzero(body.regions["hands"])

@@ -12,7 +12,7 @@ from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.people.skeleton import about
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.sources.photographs.landmarks import BLAZEPOSE, INDEX, NAMES
+from cloak_core.sources.photographs.annotation import BLAZEPOSE, INDEX, NAMES
 from cloak_core.sources.photographs.posing import Posed
 from cloak_core.sources.photographs.rig import SEGMENTS, Rig, body_rig
 

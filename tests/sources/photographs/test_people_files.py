@@ -10,8 +10,8 @@ from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
 from cloak_core.sources.photographs import reader
+from cloak_core.sources.photographs.annotation import draw_mask, read_mask
 from cloak_core.sources.photographs.fits import fit_people, fits_well, those_who_fit
-from cloak_core.sources.photographs.masks import draw_mask, read_mask
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import SIZE, edit, photograph, write_people
 from tests.studies.test_wearing import BodyDetector
