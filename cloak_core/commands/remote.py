@@ -40,7 +40,10 @@ OWN = (".lock", "cancel")
 """Of a run folder: what belongs to the machine it lies on."""
 OUTPUTS = ("out", "events", "publish", "leaderboard", "junit", "directory", "to", "chart")
 """Options that name what is written. Every other path, and every text that names something, is read."""
-PLAIN = ("text", "name", "about", "command", "licence", "kin", "person_class", "layout", "device", "ray", "made_from")
+PLAIN = (
+    *("text", "name", "names", "about", "command", "licence", "region", "box", "kin", "person_class", "layout"),
+    *("device", "ray", "made_from", "only", "rungs", "zoo", "defence"),
+)
 """Options of text that name no file, though one may be called so."""
 SPECS = ("detector", "width_detector", "query_prior", "spec", "specs", "against", "judge")
 """Options that name detectors, which have files between colons: darknet:CFG:WEIGHTS@OPTIONS."""
