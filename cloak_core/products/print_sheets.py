@@ -13,7 +13,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.products.baking import Texture
 from cloak_core.products.layout import Layout
 from cloak_core.products.seams import Mark, find_borders, seam_marks
-from cloak_core.products.tiling import FOOT, LINE, MARGIN, OVERLAP, PAGES, Tile, neighbours, pages, tiles
+from cloak_core.products.tiling import FOOT, LINE, MARGIN, OVERLAP, PAGES, Tile, pages, tiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,7 +68,7 @@ def write_sheets(
                 draw_overview(axes, layout, texture, [chart.name for chart in charts], all_pages, page)
             for tile, x, y in placed:
                 draw_tile(axes, layout, texture, charts[tile.chart], tile, (x, y), allowance)
-                draw_glue_lines(axes, tile, neighbours(tile, all_tiles), (x, y))
+                draw_glue_lines(axes, tile, [part for part in all_tiles if part.chart == tile.chart], (x, y))
             draw_foot(axes, f"{title}, {page}, page {number} of {count}; print at 100 %", bar=number > 1)
             axes.set(xlim=(0, size[0]), ylim=(0, size[1]))
             pdf.savefig(figure)
@@ -151,14 +151,14 @@ def draw_marks(axes: Axes, marks: list[Mark], shift: Float[np.ndarray, " 2"], fr
         text.set_clip_on(True)
 
 
-def draw_glue_lines(axes: Axes, tile: Tile, others: list[Tile], at: tuple[float, float]) -> None:
+def draw_glue_lines(axes: Axes, tile: Tile, parts: list[Tile], at: tuple[float, float]) -> None:
     """Draw dashed lines where another part's window ends within this one, its number beside: lay its edge there."""
     shift = np.subtract(at, tile.low)
-    for other in others:
+    for other in parts:
         for axis in (0, 1):
             span = [max(tile.low[1 - axis], other.low[1 - axis]), min(tile.high[1 - axis], other.high[1 - axis])]
             for edge in (other.low[axis], other.high[axis]):
-                if tile.low[axis] + 1e-6 < edge < tile.high[axis] - 1e-6:
+                if span[0] < span[1] and tile.low[axis] + 1e-6 < edge < tile.high[axis] - 1e-6:
                     ends = np.array([[edge, span[0]], [edge, span[1]]])[:, [axis, 1 - axis]] + shift
                     axes.plot(*ends.T, color="0.35", lw=0.4, dashes=(6, 4), zorder=3)
                     write(axes, ends.mean(axis=0), f"part {other.part}", 4, rotation=90 * (axis == 0))

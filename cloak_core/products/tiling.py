@@ -157,12 +157,3 @@ class Page:
         self.tiles.append((tile, row[0], row[1] - high))
         row[0] += wide + BETWEEN
         return True
-
-
-def neighbours(tile: Tile, all_tiles: list[Tile]) -> list[Tile]:
-    """Find the other parts of its chart whose windows overlap a tile's."""
-
-    def apart(other: Tile) -> bool:
-        return any(other.low[axis] >= tile.high[axis] or tile.low[axis] >= other.high[axis] for axis in (0, 1))
-
-    return [other for other in all_tiles if other.chart == tile.chart and other != tile and not apart(other)]
