@@ -172,8 +172,12 @@ class Search(TrainingLoop):
     def _gradient(self, batch: Batch, part: float) -> Step:
         """Ask about new images to either side of the colours; the difference is the gradient."""
         colors = self.optimizer.finished()
-        if self.step % EVERY == 0:
-            self._measure(batch, colors)
+        if self.step % EVERY == 0:  # ask about the colours themselves, before images of this batch decide anything
+            _, step = self._ask(batch, colors)
+            asked = queries_after(self.step, self.cost) + self.cost
+            # It belongs to the step that begins: a run that goes on from the checkpoint before it measures again.
+            facts = {"step": self.step + 1, "success": step.figures.success, "disappearance": step.figures.loss}
+            self.tell("round", queries=asked, **facts)
         moves = self._directions(batch, colors) * self.settings.queries.query_change
         ahead, step_ahead = self._ask(batch, (colors + moves).clamp(0, 1))
         behind, step_behind = self._ask(batch, (colors - moves).clamp(0, 1))
@@ -203,29 +207,18 @@ class Search(TrainingLoop):
             self._refuse(step)
         return losses, step
 
-    def _measure(self, batch: Batch, colors: Float[Tensor, "L 3"]) -> None:
-        """Ask about the colours themselves, before images of this batch decide anything."""
-        _, step = self._ask(batch, colors)
-        asked = queries_after(self.step, self.cost) + self.cost
-        # It belongs to the step that begins: a run that goes on from the checkpoint before it measures again.
-        facts = {"step": self.step + 1, "success": step.figures.success, "disappearance": step.figures.loss}
-        self.tell("round", queries=asked, **facts)
-
     def _directions(self, batch: Batch, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B L 3"]:
         """Draw -1, 0 or 1 for every face and channel, alike within a cell; by (seed, step) and the colours."""
         random = np.random.default_rng([self.settings.run.seed, _STREAM, self.step])
-        directions = torch.from_numpy(self._random_directions(len(batch), random)).to(colors)
+        directions = np.empty((len(batch), len(self.centres), 3), np.float32)
+        for direction in directions:
+            cell = random_cells(self.centres, CELLS, random)
+            direction[:] = random.choice(np.float32([-1, 1]), (int(cell.max()) + 1, 3))[cell]
+        directions = torch.from_numpy(directions).to(colors)
         if self.prior is None:
             return directions
         is_led = torch.from_numpy(random.random(len(batch)) < PRIOR).to(directions.device)
         return torch.where(is_led[:, None, None], self.prior.directions(batch, colors, self.step, random), directions)
-
-    def _random_directions(self, count: int, random: np.random.Generator) -> Float[np.ndarray, "B L 3"]:
-        directions = np.empty((count, len(self.centres), 3), np.float32)
-        for direction in directions:
-            cell = random_cells(self.centres, CELLS, random)
-            direction[:] = random.choice(np.float32([-1, 1]), (int(cell.max()) + 1, 3))[cell]
-        return directions
 
 
 PRIOR_CELLS = (64, 1024)
