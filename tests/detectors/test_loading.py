@@ -106,25 +106,6 @@ def test_names_come_from_a_list_beside_the_cfg(tmp_path: Path) -> None:
         load_detector(write_tiny(tmp_path, names=("person", "dog")))
 
 
-@pytest.mark.parametrize(
-    ("spec", "message"),
-    [
-        ("yolo", "unknown family 'yolo'"),
-        ("a.cfg", "no a.weights beside it"),
-        ("darknet:only.cfg", "expected darknet:CFG:WEIGHTS"),
-        ("darknet:none.cfg:none.weights", "none.cfg: no such file"),
-        ("python:none.py:load", "none.py: no such file"),
-        ("python:none.py", "expected python:FILE.py:FUNCTION"),
-        ("builtin:x:y", r"expected builtin\[:WEIGHTS\], @OPTIONS"),
-        ("builtin:x", "x: no such file"),
-        ("darknet:a:b@0", "an input size of 0x0 is not possible"),
-    ],
-)
-def test_bad_specs(spec: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        load_detector(spec)
-
-
 def test_python_module(module: Path) -> None:
     detector = load_detector(f"python:{module}:load")
     assert detector.name == "mine" and not [p for p in detector.parameters() if p.requires_grad]

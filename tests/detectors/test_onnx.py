@@ -210,20 +210,6 @@ def test_pixels_as_the_spec_says(path: Path) -> None:
     assert detector_record(plain) != detector_record(other)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("conf=1.5", "conf=1.5 is not in"),
-        ("mean=1/2/3,std=1/0/1", "a standard deviation of 0"),
-        ("mean=1..2/2/3", "no number"),
-        ("bgr,rgb", "bgr is given twice"),
-    ],
-)
-def test_bad_options(path: Path, options: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        load_detector(f"onnx:{path}@{options}")
-
-
 def test_sizes_and_layouts_that_do_not_fit(path: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="its input is fixed to 64x64, it cannot run at 96x96"):
         load_detector(f"onnx:{path}@96")

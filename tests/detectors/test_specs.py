@@ -1,12 +1,24 @@
-"""Specs are taken apart alike on every system, and one table says what each family takes."""
+"""What people type for a detector, taken apart; what is told beside it; what is said of typing errors."""
+
+from pathlib import Path
 
 import pytest
+import torch
 
+from cloak_core.core.detector.protocol import state_hash
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.naming import full_spec, missing_file
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import split_spec
 from cloak_core.studies.report.words import short_name
+from tests.detectors.helpers import TINY_CFG, images, write_tiny
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> str:
+    cfg = TINY_CFG.replace("classes=1", "classes=2").replace("filters=12", "filters=14")
+    return write_tiny(tmp_path, cfg, names=("cat", "tall pedestrian"))
 
 
 @pytest.mark.parametrize(
@@ -45,16 +57,173 @@ def test_short_names_leave_folders_out() -> None:
     assert short_name("jpeg=75:blur=1:darknet:/dir/a.cfg:/dir/a.weights") == "jpeg=75 blur=1 darknet a"
 
 
+def test_specs_are_taken_apart() -> None:
+    parsed = parse_spec("darknet:C@t.cfg:b.weights@96x64,letterbox,person=tall pedestrian")
+    assert (parsed.family, parsed.what, parsed.input_size) == ("darknet", "C@t.cfg:b.weights", (96, 64))
+    assert parsed.letterbox and parsed.person_class == "tall pedestrian"
+    plain = parse_spec("transformers:org/model@main")
+    assert (plain.what, plain.input_size, plain.letterbox, plain.person_class) == ("org/model@main", None, False, None)
+
+
 @pytest.mark.parametrize(
-    ("spec", "message"),
+    ("typed", "meant"),
     [
-        ("torchvision:fcos_resnet50_fpn:random@letterbox", "torchvision models resize by themselves; drop letterbox"),
-        ("transformers:x@letterbox", "drop letterbox"),
-        ("python:a.py:load@person=dog", "has no class to choose"),
-        ("transformers:", "expected transformers:DIRECTORY"),
-        ("darknet:a::b", "expected darknet:CFG:WEIGHTS"),
+        ("yolov8n.onnx", "onnx:yolov8n.onnx"),
+        ("models/a.ONNX@320,bgr", "onnx:models/a.ONNX@320,bgr"),
+        ("a.onnx:yolov5@conf=0.4", "onnx:a.onnx:yolov5@conf=0.4"),
+        ("yolo11s.pt", "ultralytics:yolo11s.pt"),
+        ("net.xml", "openvino:net.xml"),
+        ("x.tflite@256", "tflite:x.tflite@256"),
+        ("jpeg=75:x.tflite", "jpeg=75:tflite:x.tflite"),
+        ("a.cfg:b.weights@416", "darknet:a.cfg:b.weights@416"),
+        (r"C:\models\a.onnx", r"onnx:C:\models\a.onnx"),
+        ("builtin@224", "builtin@224"),
+        ("onnx:a.onnx", "onnx:a.onnx"),
+        ("python:a.py:load", "python:a.py:load"),
     ],
 )
-def test_what_a_family_does_not_take_is_refused_before_anything_is_read(spec: str, message: str) -> None:
+def test_a_file_is_taken_by_its_suffix(typed: str, meant: str) -> None:
+    assert full_spec(typed) == meant
+
+
+def test_darknet_finds_the_other_half(tmp_path: Path) -> None:
+    for name in ("a.cfg", "a.weights", "b.cfg"):
+        (tmp_path / name).touch()
+    whole = f"darknet:{tmp_path / 'a.cfg'}:{tmp_path / 'a.weights'}"
+    assert full_spec(str(tmp_path / "a.cfg")) == whole
+    assert full_spec(f"{tmp_path / 'a.weights'}@416") == f"{whole}@416"
+    assert full_spec(str(tmp_path / "b.cfg")) == f"darknet:{tmp_path / 'b.cfg'}:{tmp_path / 'a.weights'}"
+    (tmp_path / "c.weights").touch()
+    with pytest.raises(InputError, match=r"no b\.weights beside it; darknet:CFG:WEIGHTS names both"):
+        full_spec(str(tmp_path / "b.cfg"))
+    (tmp_path / "b_20000.weights").touch()
+    assert full_spec(str(tmp_path / "b.cfg")) == f"darknet:{tmp_path / 'b.cfg'}:{tmp_path / 'b_20000.weights'}"
+    assert full_spec(str(tmp_path / "b_20000.weights")) == full_spec(str(tmp_path / "b.cfg"))
+    (tmp_path / "b_final.weights").touch()
+    with pytest.raises(InputError, match=r"no b\.weights beside it; darknet:CFG:WEIGHTS names both"):
+        full_spec(str(tmp_path / "b.cfg"))
+
+
+BAD = {
+    "yolo": "unknown family 'yolo'; expected a file, or builtin",
+    "builtn": r"unknown family 'builtn'; did you mean builtin\?",
+    "onx:a.onnx": r"unknown family 'onx'; did you mean onnx\?",
+    "net.pth": r"names no family; torchvision:NAME:net.pth\?",
+    "a.cfg": "no a.weights beside it",
+    "darknet:only.cfg": "expected darknet:CFG:WEIGHTS",
+    "darknet:a::b": "expected darknet:CFG:WEIGHTS",
+    "darknet:none.cfg:none.weights": "none.cfg: no such file",
+    "darknet:a:b@0": "an input size of 0x0 is not possible",
+    "python:none.py:load": "none.py: no such file",
+    "python:none.py": "expected python:FILE.py:FUNCTION",
+    "python:a.py:load@person=dog": "a python module returns the person's scores itself, it has no class to choose",
+    "builtin:x:y": r"expected builtin\[:WEIGHTS\], @OPTIONS",
+    "builtin:x": "x: no such file",
+    "builtin@64,32": "size is given twice",
+    "builtin@bgr": "bgr, range, mean and std are for onnx:FILE",
+    "builtin@stretch": "drop stretch",
+    "onnx:a.onnx@conf=1.5": "conf=1.5 is not in",
+    "onnx:a.onnx@mean=1/2/3,std=1/0/1": "a standard deviation of 0",
+    "onnx:a.onnx@mean=1..2/2/3": "no number",
+    "torchvision:fcos_resnet50_fpn:random@letterbox": "torchvision models resize by themselves; drop letterbox",
+    "transformers:x@letterbox": "drop letterbox",
+    "transformers:": "expected transformers:DIRECTORY",
+}
+
+
+@pytest.mark.parametrize("typed", BAD)
+def test_what_cannot_be_meant_is_refused_before_anything_is_read(typed: str) -> None:
+    with pytest.raises(InputError, match=BAD[typed]):
+        load_detector(typed)
+
+
+@pytest.mark.parametrize(
+    ("spec", "options", "message"),
+    [
+        ("builtin@person=person", {"person_class": "0"}, "says person= already; drop --person-class"),
+        ("builtin", {"person_class": "dog"}, r"no class 'dog' among its 1 \(person\)"),
+        ("builtin", {"precision": "half"}, "--precision: 'half' is not one of float32, bfloat16, auto"),
+        ("builtin", {"layout": "yolov8"}, "--layout is for onnx:FILE"),
+    ],
+)
+def test_options_that_do_not_fit(spec: str, options: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        load_detector(spec)
+        load_detector(spec, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("net.torchscript", "export the network to .onnx"), ("model.safetensors", "transformers:DIRECTORY reads it")],
+)
+def test_a_file_of_another_runtime_is_refused_with_the_way(name: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(InputError, match=rf"no detector's file ends in {Path(name).suffix} .*; {words}"):
+        load_detector(f"{tmp_path / name}@person=0")
+
+
+def test_a_file_with_a_typing_error_is_suggested(tmp_path: Path) -> None:
+    (tmp_path / "yolov8n.onnx").touch()
+    with pytest.raises(InputError, match=r"yolov8m\.onnx: no such file; did you mean yolov8n\.onnx\?"):
+        load_detector(str(tmp_path / "yolov8m.onnx"))
+    with pytest.raises(InputError, match=r"none\.cfg: no such file$"):
+        load_detector("darknet:none.cfg:none.weights")
+
+
+def test_the_licence_of_the_extra_is_said_once(caplog: pytest.LogCaptureFixture, monkeypatch) -> None:
+    monkeypatch.setattr("cloak_core.detectors.naming._said", set())
+    full_spec("a.pt"), full_spec("b.pt")
+    assert caplog.text.count("AGPL-3.0") == 1
+    full_spec("ultralytics:a.pt")
+    assert caplog.text.count("AGPL-3.0") == 1
+
+
+def test_files_of_a_spec() -> None:
+    assert missing_file("jpeg=75:onnx:no.onnx@320") == Path("no.onnx")
+    assert missing_file("builtin") is None and missing_file("ultralytics:yolov8n.yaml") is None
+
+
+@pytest.mark.parametrize("suffix", ["", "@96", "@96,letterbox"])
+def test_a_spec_says_which_class_it_looks_for(suffix: str, spec: str) -> None:
+    """So that a run's record loads the same detector again."""
+    with pytest.raises(InputError, match=r"no class 'person' among its 2 \(cat, tall pedestrian\)"):
+        load_detector(spec + suffix)
+    told = load_detector(spec + suffix, person_class="Tall Pedestrian")
+    again = load_detector(told.spec)
+    assert again.spec == told.spec and again.person == told.person == 1
+    assert torch.equal(again(images()).scores, told(images()).scores)
+    assert load_detector(spec + suffix, person_class="0").person == 0
+
+
+def test_precision_is_automatic_only_where_it_gains(spec: str) -> None:
+    assert load_detector(spec, person_class="1", precision="auto").precision == "float32"
+    rough = load_detector(spec, person_class="1", precision="bfloat16")
+    exact = load_detector(spec, person_class="1")
+    found = rough(images())
+    assert found.scores.dtype == torch.float32 and not torch.equal(found.scores, exact(images()).scores)
+    torch.testing.assert_close(found.scores, exact(images()).scores, rtol=0, atol=0.02)
+
+
+def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = []
+
+    def compile(function):
+        return lambda images: ran.append(len(images)) or function(images)
+
+    monkeypatch.setattr(torch, "compile", compile)
+    plain, compiled = (load_detector(spec, person_class="1", compiled=c) for c in (False, True))
+    assert torch.equal(compiled(images(3)).scores, plain(images(3)).scores)
+    assert ran == [3] and compiled.compiled and not plain.compiled and state_hash(compiled) == state_hash(plain)
+
+    def fail(images):
+        raise torch._inductor.exc.InvalidCxxCompiler
+
+    monkeypatch.setattr(torch, "compile", lambda function: fail)
+    with pytest.raises(InputError, match="--compile: torch cannot compile here"):
+        load_detector(spec, person_class="1", compiled=True)(images())
+
+
+def test_operating_points() -> None:
+    builtin = load_detector("builtin")
+    assert builtin.operating_point == 0.5 and not builtin.operating_point_assumed
+    own = load_detector("builtin@conf=0.3")
+    assert own.operating_point == 0.3 and not own.operating_point_assumed

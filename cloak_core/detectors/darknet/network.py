@@ -95,19 +95,16 @@ class Network(nn.Module):
         return self
 
 
-def build_network(
-    cfg_text: str, input_size: tuple[int, int] | None = None, seed: int = 0, source: str = "cfg"
-) -> Network:
+def build_network(cfg_text: str, input_size: tuple[int, int] | None = None, seed: int = 0) -> Network:
     """Build a trainable network: unfolded batch norm, train mode, He-initialised weights from `seed`."""
-    network = Network(parse_cfg(cfg_text, source), input_size)
+    network = Network(parse_cfg(cfg_text), input_size)
     generator = torch.Generator().manual_seed(seed)
     for layer in network.layers:
         if isinstance(layer, Convolution):
             fan_in = layer.conv.weight[0].numel()
-            with torch.no_grad():
-                layer.conv.weight.normal_(0, (2 / fan_in) ** 0.5, generator=generator)
-                if layer.conv.bias is not None:
-                    layer.conv.bias.zero_()
+            nn.init.normal_(layer.conv.weight, 0, (2 / fan_in) ** 0.5, generator=generator)
+            if layer.conv.bias is not None:
+                nn.init.zeros_(layer.conv.bias)
     return network.train()
 
 

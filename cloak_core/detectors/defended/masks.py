@@ -67,11 +67,11 @@ class Masks(Defence):
         )
 
 
-def spans(length: int, patch: int, count: int = GRID) -> list[tuple[int, int]]:
+def spans(length: int, patch: int) -> list[tuple[int, int]]:
     """Place masks along a side: [begin, end) of each; every run of `patch` pixels lies within one."""
-    step = -(-max(1, length - patch + 1) // count)
+    step = -(-max(1, length - patch + 1) // GRID)
     side = min(length, patch + step - 1)
-    return [(begin, begin + side) for begin in sorted({min(k * step, length - side) for k in range(count)})]
+    return [(begin, begin + side) for begin in sorted({min(k * step, length - side) for k in range(GRID)})]
 
 
 def _best(found: Detections) -> Detections:

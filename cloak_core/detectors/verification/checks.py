@@ -37,6 +37,8 @@ DESCENTS = 3
 """Steps down the gradient."""
 WIDTHS = tuple(1 / 255 / 4**k for k in range(5))
 """How much a step may change a pixel; each of them is tried."""
+REPEATS = 5
+"""Of measurements of time."""
 LEAST_FALL, SURE = 1e-3, 1e-4
 """Of the scores' logits, so that rounding is no fall; and how near to 0 and 1 these are taken."""
 
@@ -62,8 +64,6 @@ class Subject:
     """In [0, 1], or bytes; photographs first; four or more."""
     original: Detector | None
     """The same in the runtime it comes from, or as it was trained."""
-    repeats: int = 5
-    """Of measurements of time."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -261,7 +261,7 @@ def speed(subject: Subject) -> Finding:
     if subject.original is not None:
         ways["original"] = lambda: _best(subject.original, images)
     seconds: dict[str, list[float]] = {name: [] for name in ways}
-    for turn in range(subject.repeats + 1):  # the first warms up
+    for turn in range(REPEATS + 1):  # the first warms up
         for name, work in ways.items():
             start = time.perf_counter()
             work()
