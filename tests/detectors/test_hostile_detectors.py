@@ -1,7 +1,6 @@
 """Hostile detectors of `python:`: each works, or is refused in one line that names its file; the process is as before.
 
-The cases are accidents that inference scripts hold, not malice, against which nothing in one process helps. Code that
-never returns is in `test_foreign_process`.
+The cases are accidents that inference scripts hold, not malice, against which nothing in one process helps.
 """
 
 import os
@@ -210,3 +209,38 @@ def test_files_that_are_refused(fault: str, here: Path) -> None:
         load_detector(written(here, **NOT_LOADED[fault]))
     assert str(said.value).isprintable() and "mine.py" in str(said.value)
     assert process() == before
+
+
+@pytest.mark.timeout(60, method="thread")  # its other method takes the process's alarm, which is what is tested
+@pytest.mark.parametrize("wait", ["while True: pass", "import time; time.sleep(1000)"])
+@pytest.mark.parametrize("where", ["IMPORT", "LOAD", "CALL"])
+def test_code_that_never_returns_is_ended(where: str, wait: str, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = written(here, **{where: wait})
+    lines = (here / "mine.py").read_text().splitlines()
+    line = next(number for number, text in enumerate(lines, 1) if wait in text)
+    monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", "0.3")
+    before = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(InputError, match=rf"mine\.py:load: .*mine\.py:{line}: no answer in 0\.3 s"):
+        load_detector(spec)(images())
+    assert signal.getsignal(signal.SIGALRM) is before and signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+@pytest.mark.timeout(60, method="thread")
+@pytest.mark.parametrize("said", ["soon", "-1", "nan"])
+def test_a_limit_that_is_no_number_is_refused(said: str, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", said)
+    with pytest.raises(InputError, match=f"CLOAK_DETECTOR_SECONDS: '{said}' is no number of seconds"):
+        load_detector(written(here))
+
+
+@pytest.mark.timeout(60, method="thread")
+def test_somebody_elses_alarm_is_left_alone(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", "20")
+    before = signal.signal(signal.SIGALRM, lambda *_: None)
+    signal.setitimer(signal.ITIMER_REAL, 1000)
+    try:
+        load_detector(written(here))
+        assert 900 < signal.getitimer(signal.ITIMER_REAL)[0] <= 1000
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

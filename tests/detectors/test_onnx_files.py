@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.onnx_family import networks
 from cloak_core.detectors.verification import verify
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
@@ -199,3 +200,27 @@ def test_a_classifier_is_called_one(tmp_path: Path) -> None:
     made.node("Flatten", "grid", "output", axis=1)
     with pytest.raises(InputError, match=r"m.onnx: not a detector: one output, output \[1, 1000\]"):
         load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
+
+
+def test_a_loop_without_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """2^62 rounds."""
+    make, truth = onnx.helper, onnx.TensorProto.BOOL
+    kinds = {"i": INT, "c": truth, "x": FLOAT, "co": truth, "xo": FLOAT}
+    ends = [make.make_tensor_value_info(name, kind, None if kind == FLOAT else []) for name, kind in kinds.items()]
+    steps = [make.make_node("Identity", ["c"], ["co"]), make.make_node("Sin", ["x"], ["xo"])]
+    made = Made()
+    made.weight("rounds", np.array(1 << 62), INT)
+    made.weight("true", np.array(True), truth)
+    made.node("Loop", "rounds true images", "output", body=make.make_graph(steps, "body", ends[:3], ends[3:]))
+    monkeypatch.setattr(networks, "SECONDS", 0.5)
+    with pytest.raises(InputError, match=r"endless\.onnx: a network that takes more than 0\.5 s for an image"):
+        load_detector(f"onnx:{made.save(tmp_path / 'endless.onnx')}")
+
+
+@pytest.mark.parametrize("spec", ["builtin@8192", "onnx:a.onnx@5000x20", "python:a.py:load@4097"])
+def test_inputs_that_nobody_can_run_are_refused(spec: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"an input size of \d+x\d+ is not possible \(1 to 4096"):
+        load_detector(spec)
+    path = Made().finished().save(tmp_path / "huge.onnx", sides=("height", "width"), imgsz="[8192, 8192]")
+    with pytest.raises(InputError, match=r"huge\.onnx: an input size of 8192x8192 is not possible"):
+        load_detector(f"onnx:{path}")
