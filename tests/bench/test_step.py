@@ -52,12 +52,6 @@ def test_people_in_photographs_are_fresh_views_with_a_cloth(tmp_path):
     assert one["step_ms"] > one["floor_ms"]
 
 
-@pytest.mark.slow
-def test_a_fresh_view_for_every_image_costs_more():
-    cached, fresh = measure()["tiny:0"], measure(angle_jitter=5)["tiny:0"]
-    assert fresh["parts_ms"]["next_batch"] > 1.5 * cached["parts_ms"]["next_batch"]
-
-
 def test_bad_input():
     with pytest.raises(InputError, match="repeats"):
         run_bench_step(box_bodies(), [TinyDetector()], noise_backgrounds(), repeats=0)

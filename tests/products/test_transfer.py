@@ -6,7 +6,7 @@ from cloak_core.core.logo import select_region
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.products.transfer import nearest_triangles, transfer_logo
+from cloak_core.products.transfer import transfer_logo
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
 from cloak_core.sources.bodies.people.samples import sample_bodies
 
@@ -97,12 +97,3 @@ def test_bad_input(body: Bodies) -> None:
         transfer_logo(body, ids, legs)
     with pytest.raises(InputError, match="colours for 2"):
         transfer_logo(body, ids, body, np.zeros((2, 3), np.float32))
-
-
-def test_nearest_needs_the_same_side() -> None:
-    up = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 1], [1, 0, 1], [0, 0, 1]]], float)
-    triangle, distance = nearest_triangles(
-        np.array([[0.2, 0.2, 0.9]] * 3), np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0]], float), up, reach=2.0
-    )
-    assert triangle.tolist() == [0, 1, -1]
-    assert np.allclose(distance[:2], [0.9, 0.1]) and np.isinf(distance[2])
