@@ -48,7 +48,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "detectors check": "detectors:Check",
         "detectors verify": "detectors:Verify",
         "wear": "wear:Wear",
-        "judge": "judge:Judge",
+        "judge": "wear:Judge",
         "film": "film:Film",
         "transfer": "transfer:Transfer",
         "sweep": "sweep:Sweep",

@@ -12,7 +12,7 @@ from test_report import parse
 from torch import Tensor
 
 from cloak_core.cli import main
-from cloak_core.commands import judge as judge_command
+from cloak_core.commands import wear as judge_command
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import JudgeSettings
 from cloak_core.files.errors import InputError
