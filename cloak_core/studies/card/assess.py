@@ -25,7 +25,7 @@ from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.source import fit_wearers
 from cloak_core.studies.card.expected import expected_card
-from cloak_core.studies.card.figures import VERSIONS, attack_record, card_of, detector_facts, others_strongest
+from cloak_core.studies.card.figures import VERSIONS, attack_record, card_of, detector_facts
 from cloak_core.studies.card.page import keep_pictures
 from cloak_core.studies.card.protocol import (
     AGAINST,
@@ -41,6 +41,7 @@ from cloak_core.studies.card.protocol import (
     part_of_area,
     parts_of,
 )
+from cloak_core.studies.card.words import others_strongest
 from cloak_core.studies.card.work import TRAINED, OnWork, Work
 from cloak_core.studies.data_split import people_record
 from cloak_core.studies.imagery import people_images

@@ -38,7 +38,15 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import parse_json
 from cloak_core.studies.card.protocol import AGAINST, AREAS, FORMAT, VERSION, Size, part_of_area, parts_of
 from cloak_core.studies.card.schema import inside
-from cloak_core.studies.card.words import MEASURED, NOT_MEASURED, state, state_of_attack, whole, worn_rows
+from cloak_core.studies.card.words import (
+    MEASURED,
+    NOT_MEASURED,
+    others_strongest,
+    state,
+    state_of_attack,
+    whole,
+    worn_rows,
+)
 from cloak_core.studies.training_store import TRAINING_VERSION
 from cloak_core.zoo.entry import MARK
 
@@ -185,12 +193,6 @@ def summary(card: dict) -> dict:
         "state": whole(card),
         "not_tested": untested(card),
     }
-
-
-def others_strongest(zoo: Sequence[dict]) -> dict | None:
-    """Choose the cloak made against other detectors that hides most people, at the own threshold and then at 0.6."""
-    counted = [row for row in zoo if not row["trained_against_it"]]
-    return max(counted, key=lambda row: (row["success_own"], row["success"]), default=None)
 
 
 def untested(card: dict) -> list[str]:

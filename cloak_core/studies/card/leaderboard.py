@@ -13,7 +13,7 @@ from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text
 from cloak_core.studies.card.protocol import VERSION
-from cloak_core.studies.card.words import MEASURED, name_of, shown, strange_row, strongest, whole
+from cloak_core.studies.card.words import MEASURED, name_of, others_strongest, shown, strongest, whole
 from cloak_core.studies.report.words import file_name, interval, markdown, percent
 
 HEAD = """# Leaderboard
@@ -60,7 +60,7 @@ def leaderboard_row(card: dict) -> dict[str, str]:
         "photographs ↓": both(worn and worn.row),
         **{f"{percent(row['asked'])} ↓": both(row) for row in reversed(card["white_box"])},
         "all around ↓": both(card.get("around")),
-        "others' cloaks ↓": both(strange_row(card)),
+        "others' cloaks ↓": both(others_strongest(card["black_box"]["zoo"])),
         "clean recall ↑": both(clean, "recall_own"),
         "AP50 ↑": f"{100 * clean['ap50']:.1f}",
         "false alarms ↓": percent(clean["false_alarms_own"]),

@@ -6,7 +6,7 @@ followed a part of the gradient alone; or "not measured".
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from cloak_core.detectors.defended.table import split_defence
@@ -102,9 +102,10 @@ def worn_rows(card: dict) -> dict[str, dict]:
     return {name: row for name, row in rows.items() if name not in UNTRAINED}
 
 
-def strange_row(card: dict) -> dict | None:
-    """Find the zoo's strongest cloak that was made against other detectors."""
-    return next((row for row in card["black_box"]["zoo"] if row["name"] == card["black_box"]["worst"]), None)
+def others_strongest(zoo: Sequence[dict]) -> dict | None:
+    """Choose the cloak made against other detectors that hides most people, at the own threshold and then at 0.6."""
+    counted = [row for row in zoo if not row["trained_against_it"]]
+    return max(counted, key=lambda row: (row["success_own"], row["success"]), default=None)
 
 
 def kind(card: dict) -> str:
@@ -208,7 +209,7 @@ def tiles(card: dict) -> list[dict]:
     listed += [_tile(f"hidden by {percent(row['area'])} of the body", row) for row in (*rows[:1], *rows[1:][-1:])]
     listed += [] if rows else [_tile("hidden by a cloak made against it", None)]
     listed.append(_tile("hidden all around", card.get("around")))
-    listed.append(_tile("hidden by others' cloaks", strange_row(card)))
+    listed.append(_tile("hidden by others' cloaks", others_strongest(card["black_box"]["zoo"])))
     listed.append(_tile("false alarms on bare scenes", clean, "false_alarms_own"))
     return listed
 
