@@ -28,10 +28,11 @@ def bake(
     position[logo] = torch.arange(len(logo), device=device)
     worn = position.index_select(0, view.map.column)
     is_worn = worn >= 0
-    rest = replace(view.map, weight=view.map.weight.masked_fill(is_worn, 0))
-    if texture is not None:  # each entry has a colour of its own
-        rest = replace(rest, column=torch.arange(len(worn), device=device), width=len(worn))
-    body = rest.apply(colors if texture is None else look_up(texture, view.uv))
+    if texture is None:
+        body = view.map.apply(colors.index_fill(0, logo, 0.0))
+    else:  # each entry has a colour of its own
+        rest, entries = view.map.weight.masked_fill(is_worn, 0), torch.arange(len(worn), device=device)
+        body = SparseMap(view.map.crow, entries, rest, len(worn)).apply(look_up(texture, view.uv))
     base_color = ((body + view.specular.unsqueeze(1)) * torch.tensor(light_color, device=device)).T
 
     # The order of `BakedView`: pixels that show the logo, others that the background shows through, the rest.
