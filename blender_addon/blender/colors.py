@@ -26,7 +26,7 @@ from .marks import (
     remove_layer,
 )
 from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
-from .pictures import Cloth, cloth_of, image_pixels, pixels_at, show_on
+from .pictures import Cloth, cloth_of, image_pixels, lay_uv, pixels_at, show_on
 
 SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
@@ -207,7 +207,12 @@ def dress(obj: bpy.types.Object, face_ids: np.ndarray, cloth: Cloth | None = Non
     if _cloak_slot(mesh) is None:
         mesh.materials.append(None)
     slot = len(mesh.materials) - 1 if _cloak_slot(mesh) is None else _cloak_slot(mesh)
-    mesh.materials[slot] = cloak_material(mesh, look, cloth and cloth.lay(obj))
+    image = None
+    if cloth is not None:
+        image, uv = cloth
+        image.name = PREFIX + CLOTH
+        lay_uv(obj, CLOTH, uv)
+    mesh.materials[slot] = cloak_material(mesh, look, image)
     slots = _read_slots(mesh)
     make_layer(obj, OWN_MATERIAL).data.foreach_set("value", slots)
     slots[face_ids] = slot

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures as arrays: pixels as stored (display colours, straight alpha), bottom row first, as Blender keeps them."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ..files.errors import InputError
-from .marks import CLOTH, PREFIX, make_uv_map
+from .marks import make_uv_map
 
 
 def load_image(path: Path) -> bpy.types.Image:
@@ -77,19 +76,8 @@ def save_picture(path: Path, pixels: np.ndarray) -> None:
 METRES = "cloak.metres"  # of a material that shows a ready cloth: after how many metres it repeats
 
 
-@dataclass(frozen=True)
-class Cloth:
-    """A cloth's picture, and where the corners of a mesh lie on it."""
-
-    image: bpy.types.Image
-    uv: np.ndarray
-    """[C, 2]: v up, beyond [0, 1] the picture repeats."""
-
-    def lay(self, obj: bpy.types.Object) -> bpy.types.Image:
-        """Write the UV map; returns the image that is to be shown on it."""
-        lay_uv(obj, CLOTH, self.uv)
-        self.image.name = PREFIX + CLOTH
-        return self.image
+Cloth = tuple[bpy.types.Image, np.ndarray]
+"""A cloth's picture, and where the corners of a mesh lie on it, [C, 2]: v up, beyond [0, 1] the picture repeats."""
 
 
 def lay_uv(obj: bpy.types.Object, role: str, uv: np.ndarray) -> None:

@@ -4,8 +4,6 @@
 Ink is a bool array [H, W], row 0 at the top. Only the faces under the stamp and in its box are looked at.
 """
 
-from dataclasses import dataclass
-
 import bpy
 import numpy as np
 
@@ -77,16 +75,8 @@ def image_stamp(image: bpy.types.Image | None) -> np.ndarray:
     return ink
 
 
-@dataclass(frozen=True)
-class Projection:
-    """How parallel rays take points of the world to stamp coordinates: x and y inside +-1, and an inverse depth."""
-
-    rows: np.ndarray  # [3, 4]
-    direction: np.ndarray  # [3] into the scene
-
-    def of(self, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
-        """Points [n, 3] around `middle` as x, y and inverse depth [n, 3]."""
-        return points @ self.rows[:, :3].T + (self.rows[:, :3] @ middle + self.rows[:, 3])
+Projection = np.ndarray
+"""[3, 4]: along parallel rays from points of the world to stamp coordinates: x and y inside +-1, and inverse depth."""
 
 
 def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float, angle: float = 0.0) -> Projection:
@@ -99,8 +89,12 @@ def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float,
     above, cos, sin = np.cross(-into, across), np.cos(angle), np.sin(angle)
     rows = np.stack([cos * across + sin * above, cos * above - sin * across, -into])
     rows[:2] /= [[height * aspect / 2], [height / 2]]
-    offset = -rows @ place * [1, 1, 0]
-    return Projection(np.c_[rows, offset], into)
+    return np.c_[rows, -rows @ place * [1, 1, 0]]
+
+
+def projected(projection: Projection, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Points [n, 3] around `middle` as x, y and inverse depth [n, 3]."""
+    return points @ projection[:, :3].T + (projection[:, :3] @ middle + projection[:, 3])
 
 
 def front_projection(obj: bpy.types.Object, size: float, center: float, offset: float, aspect: float) -> Projection:
@@ -128,15 +122,15 @@ class Placed:
     def faces(self, projection: Projection) -> np.ndarray:
         """The evaluated faces [n] whose centres lie under ink, that look at the viewer and that nothing hides."""
         surface = self.surface
-        plane = projection.of(surface.centers, surface.middle)
+        plane = projected(projection, surface.centers, surface.middle)
         inside = np.flatnonzero((np.abs(plane[:, 0]) <= 1) & (np.abs(plane[:, 1]) <= 1) & surface.shown)
-        facing = surface.normals[inside] @ projection.direction < 0
+        facing = surface.normals[inside] @ projection[2, :3] > 0
         inside = inside[facing]
         column, row = ((plane[inside, :2] * [1, -1] + 1) / 2 * self.ink.shape[::-1]).astype(int).T
         inside = inside[self.ink[np.minimum(row, len(self.ink) - 1), np.minimum(column, self.ink.shape[1] - 1)]]
         if not len(inside):
             return inside
-        points = projection.of(surface.points, surface.middle)
+        points = projected(projection, surface.points, surface.middle)
         low, high = plane[inside, :2].min(0), plane[inside, :2].max(0)
         sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
         behind = (points[:, 2] < plane[inside, 2].min()) * np.uint8(16)

@@ -316,7 +316,7 @@ def read_cloth(obj: bpy.types.Object, first: int, run: Path, scene: Path | None)
     before = int(bodies.loop_total[:first].sum())
     image = load_cloth(run / CLOTH_FILE)
     uv = corner_uv(bodies, width, width * image.size[1] / image.size[0])
-    return Cloth(image, uv[before : before + len(obj.data.loops)])
+    return image, uv[before : before + len(obj.data.loops)]
 
 
 def first_pose(obj: bpy.types.Object, scene: Path | None) -> Bodies:
