@@ -33,7 +33,7 @@ def test_peers_agree_with_the_rasterizer(kind, camera) -> None:
         # Single precision, and OpenGL's grid of 1/256 pixel, move a few samples that lie on edges.
         assert (a != b).double().mean() < 0.005
         own, other = (cache.build(key)[0] for cache in (ours, theirs))
-        assert abs(len(own.face) - len(other.face)) < 0.02 * len(own.face)
+        assert abs(len(own.map) - len(other.map)) < 0.02 * len(own.map)
 
 
 def test_a_missing_peer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
