@@ -8,7 +8,6 @@ The protocol is structural, so nothing of MAITE is imported: a model takes image
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -19,15 +18,6 @@ from cloak_core.core.detector.outcomes import found_as_person
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.specs import PERSON
 from cloak_core.files.errors import InputError
-
-
-@runtime_checkable
-class Target(Protocol):
-    """Detections or the truth of one image, arrays of any library."""
-
-    boxes: object
-    labels: object
-    scores: object
 
 
 def is_maite_model(given: object) -> bool:
@@ -70,20 +60,16 @@ class SuccessMetric:
     """
 
     def __init__(self, person: int = 0, threshold: float = THRESHOLD) -> None:
-        self._metadata = {"id": f"cloak-success-{threshold:g}"}
+        self.metadata = {"id": f"cloak-success-{threshold:g}"}
+        """What MAITE asks a metric to say of itself: its id."""
         self.person, self.threshold = person, threshold
         self.reset()
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        """What MAITE asks a metric to say of itself: its id."""
-        return self._metadata
 
     def reset(self) -> None:
         """Forget everything."""
         self._hidden, self._persons, self._images = 0, 0, 0
 
-    def update(self, preds: Sequence[Target], targets: Sequence[Target], metadata: object = None) -> None:
+    def update(self, preds: Sequence[object], targets: Sequence[object], metadata: object = None) -> None:
         """Count a batch: predictions and truths, an image each; metadata of the images are not used."""
         for predicted, true in zip(preds, targets, strict=True):
             here = torch.zeros(1)
@@ -101,7 +87,7 @@ class SuccessMetric:
         return {"success": success, "persons": float(self._persons), "images": float(self._images)}
 
 
-def _persons(target: Target, label: int, like: Tensor) -> tuple[Float[Tensor, "n 4"], Float[Tensor, " n"]]:
+def _persons(target: object, label: int, like: Tensor) -> tuple[Float[Tensor, "n 4"], Float[Tensor, " n"]]:
     """Select a target's boxes and scores of one class; scores [n, classes] are that class's column, of every box."""
     parts = (target.boxes, target.labels, target.scores)
     boxes, labels, scores = (torch.as_tensor(part).to(like.device, torch.float32) for part in parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import hashlib
 import inspect
@@ -99,14 +100,16 @@ class OnPictures(nn.Module):
 
 
 def _module(module: nn.Module, named: object, device: str | torch.device) -> PythonDetector:
-    """Wrap a module under the name of its class, or of a function."""
+    """Wrap a module under the name of its class, or of a function, with a hash of that one's source."""
     name = getattr(named, "__name__", type(named).__name__)
-    try:
-        file = inspect.getsourcefile(named if isinstance(named, type) or inspect.isroutine(named) else type(named))
-    except TypeError:  # made where there is no file, as in a notebook
-        file = None
+    kind = named if isinstance(named, type) or inspect.isroutine(named) else type(named)
+    file, source = None, f"{kind.__module__}.{kind.__qualname__}"
+    with contextlib.suppress(OSError, TypeError):  # made where there is no file, as in a notebook
+        file = inspect.getsourcefile(kind)
+        source = inspect.getsource(kind)
     detector = PythonDetector(module, name, name, file=Path(file) if file else None)
-    detector.source = {"object": name, "code": _code(named)}
+    # Without weights the source is all that tells two apart.
+    detector.source = {"object": name, "code": hashlib.sha256(source.encode()).hexdigest()}
     return detector.to(device).freeze()
 
 
@@ -141,13 +144,3 @@ def _copied(module: nn.Module) -> nn.Module:
         if tensor.dtype == torch.float64:
             tensor.data = tensor.data.float()
     return made
-
-
-def _code(named: object) -> str:
-    """Hash (SHA-256, hex) the source of a class or a function: without weights it is all that tells two apart."""
-    kind = named if isinstance(named, type) or inspect.isroutine(named) else type(named)
-    try:
-        source = inspect.getsource(kind)
-    except (OSError, TypeError):
-        source = f"{kind.__module__}.{kind.__qualname__}"
-    return hashlib.sha256(source.encode()).hexdigest()
