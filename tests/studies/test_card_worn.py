@@ -16,6 +16,8 @@ from cloak_core.patterns.cloth import ClothPattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.card.assess import Assessment
+from cloak_core.studies.card.protocol import GREY_HEAD, HEADS
+from cloak_core.studies.card.words import worn_rows
 from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
 from tests.sources.photographs.made_people import write_people
@@ -45,13 +47,14 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(wor
     assert list(rows)[:4] == shown and card["photographs"]["people"] == 2
     assert [rows[name]["state"] for name in shown] == ["at least", "measured", "measured", "measured"]
     assert rows["clothing"]["success_05"] is not None and rows["clothing"]["masr"] is not None
+    assert list(rows)[4:7] == [*HEADS, GREY_HEAD] and list(worn_rows(card)) == shown, "no headline of covered heads"
 
 
 def test_a_size_takes_the_first_people_of_a_file(tmp_path: Path) -> None:
     people = load_people(str(write_people(tmp_path / "people", 4)))
     one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people)
     assert len(one.people) == TINY.people == 3
-    assert one.costs(4.0)["people"] == (0.0, 4 * 3 * (3 + 3))
+    assert one.costs(4.0)["people"] == (0.0, 4 * 3 * (3 + 3 + 3))
 
 
 TABLE = """

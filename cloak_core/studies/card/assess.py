@@ -32,6 +32,9 @@ from cloak_core.studies.card.protocol import (
     BESIDE,
     CIRCLE,
     FRONT,
+    GREY_HEAD,
+    HEAD_CLOTH,
+    HEADS,
     ROWS,
     VERSION,
     Part,
@@ -156,7 +159,7 @@ class Assessment:
             if part.name == "clean":
                 looked = 6.0 * self.size.clean_images + self.size.bare
             elif part.name == "people":
-                looked = worn * len(self.people) * (len(PEOPLE_CONTROLS) + 2 + len(self.patterns))
+                looked = worn * len(self.people) * (len(PEOPLE_CONTROLS) + 2 + len(HEADS) + 1 + len(self.patterns))
             elif part.name == "circle":
                 looked += trained / TRAINED  # all around, an image that is trained on is a new view, too
             costs[part.name] = trained, looked
@@ -251,10 +254,13 @@ class Assessment:
         return self.store.untrained(FacePattern(largest, colors=np.repeat(noise, 3, 1).astype(np.float32)))
 
     def _worn_by_people(self, largest: Trained | None, rows: dict[str, list[Results]]) -> dict[str, Pattern]:
-        """List what people in photographs wear: the largest cloak, made on renders, the zoo's strongest, patterns."""
+        """List what people wear: the largest cloak, made on renders, the zoo's strongest, patterns, and heads."""
         worn = {} if largest is None else {AGAINST: largest.pattern}
         zoo = self.told["black_box"]["zoo"]
         strange = others_strongest([row | attack_record(rows[f"zoo {row['name']}"][0], self.spec) for row in zoo])
         if strange:
             worn[MARK + strange["name"]] = open_pattern(MARK + strange["name"])[0]
-        return worn | self.opened
+        cloth, _, _ = open_pattern(HEAD_CLOTH)
+        heads = {name: cloth.on(clothes_cover(regions)) for name, regions in HEADS.items()}
+        grey = controls(("grey",), OwnClothing(clothes_cover("head")))
+        return worn | self.opened | heads | {GREY_HEAD: grey["grey"]}

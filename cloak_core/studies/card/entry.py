@@ -29,7 +29,18 @@ from cloak_core.sources.photographs.fits import UNCOVERED, UNFIT
 from cloak_core.studies.card.figures import card_of, differences, fixed
 from cloak_core.studies.card.leaderboard import read_card
 from cloak_core.studies.card.page import FLAT, PAGES, SIDES, place_of
-from cloak_core.studies.card.protocol import AGAINST, ROWS, SIZES, UNTRAINED, Part, Size, keep_rows, parts_of
+from cloak_core.studies.card.protocol import (
+    AGAINST,
+    GREY_HEAD,
+    HEADS,
+    ROWS,
+    SIZES,
+    UNTRAINED,
+    Part,
+    Size,
+    keep_rows,
+    parts_of,
+)
 from cloak_core.studies.card.schema import CARD, PICTURES, take
 from cloak_core.studies.report.page import MAX_PICTURE
 from cloak_core.studies.report.pictures import describe
@@ -166,6 +177,7 @@ def _asked_of_people(told: Mapping, results: Results, size: Size) -> dict[str, t
         "people": (results.trials["pose"].tolist(), list(range(people - left_out))),
         "controls": (results.controls[len(worn) :], UNTRAINED),
         "cloak made against it": (worn.count(AGAINST), int(told["differentiable"])),
+        "heads": ([name for name in worn if name in (*HEADS, GREY_HEAD)], [*HEADS, GREY_HEAD]),
         "patterns": ([name for name in worn if name in rendered], rendered),
         "size": (len(results.trials) <= size.people and sum("@" in name for name in worn) <= size.patterns, True),
     }

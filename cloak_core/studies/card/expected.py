@@ -12,7 +12,7 @@ from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, R
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.studies.card.figures import card_of
-from cloak_core.studies.card.protocol import AGAINST, UNTRAINED, Part, Size, parts_of
+from cloak_core.studies.card.protocol import AGAINST, GREY_HEAD, HEADS, UNTRAINED, Part, Size, parts_of
 from cloak_core.zoo.entry import MARK
 
 
@@ -22,7 +22,7 @@ def expected_card(told: Mapping, size: Size, worn: Sequence[str]) -> dict:
     told: what the card will say itself (`schema.CARD`); worn: the patterns of people in photographs, by name.
     """
     zoo = [MARK + row["name"] for row in told["black_box"]["zoo"] if not row["trained_against_it"]]
-    shown = (*[AGAINST] * told["differentiable"], *zoo[:1], *worn, *UNTRAINED)
+    shown = (*[AGAINST] * told["differentiable"], *zoo[:1], *worn, *HEADS, GREY_HEAD, *UNTRAINED)
     card = card_of(told, size, {part.name: [_rows(part, told, shown)] for part in parts_of(told, size)})
     if card["photographs"] and zoo:
         rows = card["photographs"]["rows"]

@@ -31,6 +31,14 @@ AGAINST = "made against it"
 """What the largest cloak for the front is called on people in photographs."""
 UNTRAINED = (CLOTHING, "grey", "random", "resampled")
 """What people in photographs wear as controls."""
+HEAD_CLOTH = "zoo:transfer-people"
+HEADS = {
+    "transfer-people and hood, face free": "shirt+trousers+hood",
+    "transfer-people and whole head": "shirt+trousers+head",
+}
+"""Rows of people in `HEAD_CLOTH`, which covers their heads, too: name -> regions. No headline counts them."""
+GREY_HEAD = "own clothing, head in grey"
+"""The control of these rows: own clothing, and the head in grey, which alone may hide somebody."""
 BESIDE = (CLOTHING, "random")
 """Controls beside every cloak."""
 ROWS = "rows"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from cloak_core.detectors.defended.table import split_defence
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.specs import without_folders
-from cloak_core.studies.card.protocol import AGAINST, UNTRAINED, Part
+from cloak_core.studies.card.protocol import AGAINST, GREY_HEAD, HEADS, UNTRAINED, Part
 from cloak_core.studies.hardening.student import TRAINABLE
 from cloak_core.studies.report.words import interval, percent, short_name
 from cloak_core.zoo.entry import MARK
@@ -97,9 +97,9 @@ def strongest(card: dict, photographed: bool | None = None) -> Attack | None:
 
 
 def worn_rows(card: dict) -> dict[str, dict]:
-    """Select what people in photographs wore beside the controls: name -> S; empty where there were none."""
+    """Select what people in photographs wore, faces and hair free, beside the controls: name -> S."""
     rows = (card.get("photographs") or {}).get("rows", {})
-    return {name: row for name, row in rows.items() if name not in UNTRAINED}
+    return {name: row for name, row in rows.items() if name not in (*UNTRAINED, *HEADS, GREY_HEAD)}
 
 
 def others_strongest(zoo: Sequence[dict]) -> dict | None:
