@@ -41,21 +41,20 @@ def pattern_scores(
     backgrounds: Backgrounds,
     bodies: Bodies,
     *,
-    count: int = COUNT,
     size: int = 416,
     seed: int = 0,
 ) -> pd.DataFrame:
     """Score pictures without people, with patterned cloth and without it.
 
-    Half of the `count` pictures show a cloak of the zoo that these bodies can wear (where there is one), the others a
+    Half of the `COUNT` pictures show a cloak of the zoo that these bodies can wear (where there is one), the others a
     random pattern. Returns a row for each detector and picture: detector, image, pattern (kind), score (best person
     score), plain (the same without the cloth).
     """
     rng = np.random.default_rng([seed, 0xDEC0])
     rows = []
-    drawn = _pictures(backgrounds, cloak_textures(bodies), count, size, rng)
-    for first in range(0, count, BATCH):
-        batch = [next(drawn) for _ in range(min(BATCH, count - first))]
+    drawn = _pictures(backgrounds, cloak_textures(bodies), size, rng)
+    for first in range(0, COUNT, BATCH):
+        batch = [next(drawn) for _ in range(min(BATCH, COUNT - first))]
         with_cloth, without = (torch.stack([pair[k] for pair in batch]) for k in (0, 1))
         for spec, detector in detectors.items():
             scores = [max_person_score(detector(i.to(detector.device))).cpu().numpy() for i in (with_cloth, without)]
@@ -112,10 +111,10 @@ def pattern_alarms(detector: Detector, backgrounds: Backgrounds, bodies: Bodies,
 
 
 def _pictures(
-    backgrounds: Backgrounds, cloaks: Sequence[Texture], count: int, size: int, rng: np.random.Generator
+    backgrounds: Backgrounds, cloaks: Sequence[Texture], size: int, rng: np.random.Generator
 ) -> Iterator[tuple[Float[Tensor, "3 H W"], Float[Tensor, "3 H W"], str]]:
     """Pictures with cloth, without it, and the kind of pattern."""
-    for number in range(count):
+    for number in range(COUNT):
         plain = backgrounds.image(number % len(backgrounds), (size, size)).float() / 255
         worn = bool(cloaks) and number % 2 == 0
         texture = cloaks[rng.integers(len(cloaks))] if worn else random_texture(rng, lambda plain=plain: plain)

@@ -31,10 +31,11 @@ def test_thresholds_are_matched_by_false_alarms() -> None:
 
 
 @pytest.mark.slow
-def test_the_same_pictures_are_shown_to_every_detector_with_and_without_cloth() -> None:
+def test_the_same_pictures_are_shown_to_every_detector_with_and_without_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(negatives, "COUNT", 12)
     bodies, backgrounds = sample_bodies("unseen"), load_backgrounds("procedural:test:6")
     detectors = {"a": load_detector("builtin"), "b": load_detector("builtin")}
-    table = pattern_scores(detectors, backgrounds, bodies, count=12, size=128)
+    table = pattern_scores(detectors, backgrounds, bodies, size=128)
     assert table["pattern"].value_counts().to_dict() == {CLOAK: 12, RANDOM: 12} and cloak_textures(bodies)
     first, second = (table[table["detector"] == name].reset_index(drop=True) for name in "ab")
     assert first.drop(columns="detector").equals(second.drop(columns="detector"))

@@ -233,9 +233,8 @@ def test_single_images_are_not_joined_to_a_trend() -> None:
 
 
 def test_a_headline_says_what_stands_there_instead() -> None:
-    rates = {"renamed": 0.61, "renamed_own": 0.5, "named": {"dog": 12, "kite": 1}}
+    rates = {"renamed": 0.61, "named": {"dog": 12, "kite": 1}}
     assert instead(rates) == '; in 61 % something else is reported there, mostly "dog"'
-    assert instead(rates, own=True) == "; in 50 % something else is reported there"
     assert instead({"renamed": 0.0, "named": {}}) == "; nothing else is reported there"
     assert instead({"renamed": None, "named": None}) == instead({}) == most_named({"named": None}) == ""
     assert most_named(rates) == "dog 12, kite 1"

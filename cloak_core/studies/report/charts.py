@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
 
 from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
@@ -46,13 +45,12 @@ AXES = {
     "steps": "updates of the attack",
     "tv_weight": "weight of total variation",
     "clean_recall": f"clean recall at {THRESHOLD:g} (%)",
-    "false_alarms": f"false alarms at {THRESHOLD:g} (%)",
     "pattern_alarms": "alarms on cloth (%)",
     "threshold": "detection threshold",
     "within": "mean CIEDE2000 from the print, at most (100: no bound)",
 }
 """What columns are called along an axis."""
-PERCENT = ("area_share", "clean_recall", "false_alarms", "pattern_alarms")
+PERCENT = ("area_share", "clean_recall", "pattern_alarms")
 """Columns shown in per cent along an axis."""
 MOST_MARKERS = 30
 """Points of a control's line that are marked."""
@@ -121,7 +119,6 @@ class Lines:
     """Further columns drawn in the same place, with their labels."""
     points: Mapping[str, object] = field(default_factory=dict)
     """Further rows of each series, drawn as crosses; the last value names them."""
-    log: bool = False
     even: bool = False
     """Whether values of x stand at even distances."""
     mark: float = THRESHOLD
@@ -196,10 +193,6 @@ class Lines:
         if self.x == "threshold":
             axis.axvline(self.mark, color=INK, lw=0.8, ls=":", zorder=0)
         axis.set_xlabel(AXES.get(self.x, self.x.replace("_", " ")))
-        if self.log:
-            axis.set_xscale("log")
-            axis.xaxis.set_major_formatter(LogFormatter())
-            axis.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
         if self.even:
             axis.set_xticks(
                 range(len(places)), [f"{value:,}" if isinstance(value, int) else f"{value:g}" for value in places]

@@ -34,18 +34,17 @@ def interval(bounds: list[float | None]) -> str:
     return "–" if low is None or high is None else f"{percent(low).removesuffix(' %')} – {percent(high)}"
 
 
-def instead(rates: dict, own: bool = False) -> str:
+def instead(rates: dict) -> str:
     """Say, as the end of a sentence, what is reported in hidden people's places; "" where the detector does not tell.
 
-    rates: figures of `statistics.outcome_record`. own: at the detector's own threshold.
+    rates: figures of `statistics.outcome_record`.
     """
-    suffix = "_own" if own else ""
-    share = rates.get(f"renamed{suffix}")
+    share = rates.get("renamed")
     if share is None:
         return ""
     if not share:
         return "; nothing else is reported there"
-    names = list(rates.get(f"named{suffix}") or {})
+    names = list(rates.get("named") or {})
     return f"; in {percent(share)} something else is reported there" + (f', mostly "{names[0]}"' if names else "")
 
 
