@@ -118,11 +118,14 @@ def run_or_refuse(command: list[str]) -> str:
     for line in process.stdout:
         lines.append(line)
         err.print(line.rstrip())
+    said = "".join(lines)
     if process.wait():
-        said = "".join(lines)
+        for pattern, words in _DIAGNOSES:
+            if match := re.search(pattern, said):
+                raise InputError(f"setup: {words.format(what=match.groupdict().get('what') or 'package')}")
         last = next((line.strip() for line in reversed(lines) if line.strip()), f"exit code {process.returncode}")
-        raise InputError(f"setup: {diagnosis(said, last)}")
-    return "".join(lines)
+        raise InputError(f"setup: {last}")
+    return said
 
 
 _DIAGNOSES = (
@@ -138,11 +141,4 @@ _DIAGNOSES = (
     (r"Permission denied|Errno 13", "the folder cannot be written: no permission"),
     (r"is not a supported wheel on this platform", "the wheel is for another system or Python"),
 )  # fmt: skip
-
-
-def diagnosis(said: str, otherwise: str) -> str:
-    """What went wrong, from all that a command said, and what to do."""
-    for pattern, words in _DIAGNOSES:
-        if match := re.search(pattern, said):
-            return words.format(what=match.groupdict().get("what") or "package")
-    return otherwise
+"""What pip says, and what to do."""
