@@ -27,11 +27,6 @@ def _is_whole(value: object) -> bool:
     return is_number(value) and float(value).is_integer()
 
 
-def _is_key(value: object) -> bool:
-    """Accept what an image's id may be: a key alone, tools write names there."""
-    return _is_whole(value) or (isinstance(value, str) and 0 < len(value) <= MAX_TEXT)
-
-
 def _is_text(value: object) -> bool:
     return isinstance(value, str) and len(value) <= MAX_TEXT
 
@@ -42,29 +37,20 @@ def _is_file_name(value: object) -> bool:
     return max(len(part.encode("utf-8", "replace")) for part in value.split("/")) <= MAX_NAME_BYTES
 
 
-def _is_side(value: object) -> bool:
-    return _is_whole(value) and 1 <= value <= MAX_SIDE
-
-
-def _is_flag(value: object) -> bool:
-    return isinstance(value, int) and value in (0, 1)
-
-
 Check = tuple[Callable[[object], bool], str]
 """Whether a value is what a field may hold, and what that is in words."""
 WHOLE: Check = (_is_whole, "a whole number")
-KEY: Check = (_is_key, "a whole number or text")
+KEY: Check = (lambda value: _is_whole(value) or (_is_text(value) and value != ""), "a whole number or text")
+"""What an image's id may be: a key alone, tools write names there."""
 TEXT: Check = (_is_text, f"text of at most {MAX_TEXT} characters")
 FILE_NAME: Check = (_is_file_name, f"a file's name, of at most {MAX_NAME_BYTES} bytes")
-SIDE: Check = (_is_side, f"a number of pixels, 1 to {MAX_SIDE}")
+SIDE: Check = (lambda value: _is_whole(value) and 1 <= value <= MAX_SIDE, f"a number of pixels, 1 to {MAX_SIDE}")
+FLAG: Check = (lambda value: isinstance(value, int) and value in (0, 1), "0 or 1")
 TABLES: dict[str, tuple[str, dict[str, Check]]] = {
     "licenses": ("licence", {"id": KEY, "name": TEXT}),
     "categories": ("category", {"id": WHOLE, "name": TEXT}),
     "images": ("image", {"id": KEY, "file_name": FILE_NAME, "width": SIDE, "height": SIDE, "license": KEY}),
-    "annotations": (
-        "annotation",
-        {"id": WHOLE, "image_id": KEY, "category_id": WHOLE, "iscrowd": (_is_flag, "0 or 1")},
-    ),
+    "annotations": ("annotation", {"id": WHOLE, "image_id": KEY, "category_id": WHOLE, "iscrowd": FLAG}),
 }
 """Table -> what an entry is called, and field -> its check; other fields are not used, or checked with the picture."""
 REQUIRED = ("images", "annotations")
