@@ -6,7 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from cloak_core.core.distortions import Distortion, cut_out
@@ -71,9 +71,9 @@ class Company:
         moved = [distorted.boxes(others[:, k], views[0].height, views[0].width) for k in range(others.shape[1])]
         return Company(torch.stack(moved, dim=1) if moved else others, is_alone(views).to(device))
 
-    def part(self, first: int, last: int) -> "Company":
+    def part(self, rows: slice | Int64[Tensor, " N"]) -> "Company":
         """Take the company of some of the images."""
-        return Company(self.others[first:last], self.anywhere[first:last])
+        return Company(self.others[rows], self.anywhere[rows])
 
 
 class Batcher:

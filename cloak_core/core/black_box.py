@@ -280,7 +280,8 @@ class QueryPrior:
             total = 0.0
             for number in np.unique(chosen).tolist():
                 rows = torch.from_numpy(np.flatnonzero(chosen == number)).to(images.device)
-                detections = self.objective.detect(number, images[rows], step, batch.bodies[rows])
+                among = None if batch.company is None else batch.company.part(rows)
+                detections = self.objective.detect(number, images[rows], step, batch.bodies[rows], among)
                 total = total + self.objective.loss(detections, number).sum()
             (gradient,) = torch.autograd.grad(total, moved)
         return gradient

@@ -83,7 +83,7 @@ class Objective:
         for first in range(0, len(images), size):
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
             near = None if bodies is None else bodies[first : first + size]
-            among = None if company is None else company.part(first, first + size)
+            among = None if company is None else company.part(slice(first, first + size))
             for number in asked:
                 detections = self.detect(number, part, step, near, among)
                 weighted = self.loss(detections, number) * self.ensemble.weight(number, len(asked))

@@ -5,11 +5,13 @@ import pytest
 import torch
 
 from cloak_core.core import black_box
-from cloak_core.core.black_box import EVERY, queries_after, steps_within
+from cloak_core.core.batches import Batch, Company
+from cloak_core.core.black_box import EVERY, QueryPrior, queries_after, steps_within
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.events import read_events
 from cloak_core.files.errors import InputError
 from tests.core.fakes import TinyDetector, tiny_settings
+from tests.core.test_ensemble import objective
 from tests.core.test_training import run
 
 
@@ -142,6 +144,36 @@ def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_p
     assert led < alone - 0.02 and contrary < alone - 0.02
     with pytest.raises(InputError, match="query_prior"):
         run(tmp_path / "led", [Asked()], resume=True, query_prior=[Blue(2)], **SHORT)
+
+
+class Halves(Detector):
+    """Reports somebody in either half of an image, as bright as the half is."""
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        side = images.shape[-1] / 2
+        boxes = images.new_tensor([[0, 0, side, 2], [side, 0, 2 * side, 2]]).expand(len(images), 2, 4)
+        return Detections(boxes, images.mean((1, 2)).sigmoid())
+
+
+class TwoPeople(Batch):
+    """Two images of two pixels of their own colour each; who stands on the right is somebody else."""
+
+    bodies = torch.tensor([[0.0, 0, 1, 2]]).expand(2, 4)
+    company = Company(torch.tensor([[[1.0, 0, 2, 2]]]).expand(2, 1, 4), torch.zeros(2, dtype=torch.bool))
+
+    def __len__(self) -> int:
+        return 2
+
+    def images(self, colors: torch.Tensor) -> torch.Tensor:
+        return colors.transpose(1, 2).unsqueeze(2).expand(-1, -1, 2, -1)
+
+
+def test_other_people_of_a_photograph_lead_no_search() -> None:
+    prior = QueryPrior(objective([Halves("halves", "halves")], loss="margin"), np.float32([[0, 0, 0], [1, 0, 0]]))
+    found = prior.directions(
+        TwoPeople.__new__(TwoPeople), torch.tensor([[0.2] * 3, [0.9] * 3]), 0, np.random.default_rng(0)
+    )
+    assert found[:, 0].all() and not found[:, 1].any()
 
 
 @pytest.mark.slow
