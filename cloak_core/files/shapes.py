@@ -55,6 +55,7 @@ def _check_record(record: dict, shape: dict, what: str, before: str) -> None:
         elif f"{key}?" not in shape:
             raise InputError(f"{what}: {before.removesuffix('.') or 'the record'} has no '{key}'")
     for key in record.keys() - named.keys() if "*" in shape else ():
+        _require(key.isprintable(), key, "a name that can be printed", what, before)
         check_shape(record[key], shape["*"], what, f"{before}{key}")
 
 

@@ -27,6 +27,7 @@ def test_what_fits_passes() -> None:
         ({"rates": {"d": {"box": []}}}, "a.json: rates.d has no 'success'"),
         ({"rates": {"d": {"success": 0, "box": 7}}}, "box: 7 is not a list"),
         ({"name": None}, "name: None is not text"),
+        ({"rates": {"a\nb": {"success": 0, "box": []}}}, "is not a name that can be printed"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_named_with_its_place(changes: dict, words: str) -> None:
