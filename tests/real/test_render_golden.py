@@ -6,7 +6,7 @@ import torch
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.paint import compose
-from cloak_core.core.visibility.packing import unpack_inverse_depth
+from cloak_core.core.visibility.packing import DEPTH_BITS, ID_BITS, LIMIT
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.sources.bodies.view_cache import ViewCache
@@ -36,7 +36,8 @@ def test_face_ids_and_depth(lit, golden) -> None:
     assert same.mean() >= 0.9999
     w = visibility.window
     inside = (same & (ids >= 0))[w.y0 : w.y1, w.x0 : w.x1]
-    depth = CAMERA.near_plane / unpack_inverse_depth(visibility.packed[0]).numpy()[inside]
+    inverse_depth = (LIMIT - (visibility.packed[0].numpy()[inside] >> ID_BITS)) / (1 << DEPTH_BITS)
+    depth = CAMERA.near_plane / inverse_depth
     np.testing.assert_allclose(depth, golden["depth"][w.y0 : w.y1, w.x0 : w.x1][inside], rtol=1e-5)
 
 
