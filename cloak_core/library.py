@@ -57,6 +57,7 @@ def train(
     inputs: Mapping[str, str] | None = None,
     query_prior: Given | Sequence[Given] = (),
     people: People | Named | None = None,
+    techniques: Sequence[str] = (),
     **changes: object,
 ) -> RunResult:
     """Train the logo's colours against the detectors, into the run folder `out`.
@@ -67,9 +68,10 @@ def train(
     COCO file), shown beside the scene's renders, or alone where `scene` is None (the logo is then one of the sample
     bodies). How to train: `settings`, or `changes` of a preset by the names of `cloak train`'s options
     (`preset="best", steps=100, angles="-10:10:5"`). `query_prior`: detectors whose gradients lead a search by
-    questions. `on_event` hears every event that goes to events.jsonl, in the calling thread; where it returns True, the
-    run ends after the step. So do SIGINT (in the main thread), a file `cancel` in `out` and the time budget, with a
-    checkpoint; `resume` goes on from there to the bit-identical result.
+    questions. `techniques`: of other packages, NAME or NAME:TEXT. `on_event` hears every event that goes to
+    events.jsonl, in the calling thread; where it returns True, the run ends after the step. So do SIGINT (in the main
+    thread), a file `cancel` in `out` and the time budget, with a checkpoint; `resume` goes on from there to the
+    bit-identical result.
 
     Returns how the run ended; its `colors` [L, 3] are sRGB in [0, 1], in the order of `logo.face_ids`. Raises
     InputError, naming it, for whatever cannot be read, does not fit together, or cannot be trained against; a run
@@ -99,6 +101,7 @@ def train(
         inputs={key: str(value) for key, value in named.items() if isinstance(value, Named)} | dict(inputs or {}),
         query_prior=as_detectors(query_prior, settings.compute.device),
         people=fits,
+        techniques=techniques,
     )
 
 

@@ -27,7 +27,7 @@ class Evaluate(OnUnseen, Photographed, Watched):
 
     colors: str | None = None
     """Other colours on the run's logo, into RUN/evaluation-NAME: FILE.npy, a picture on the UV map,
-    FILE.png@tile=METRES, print:NAME@tile=METRES, another run, or zoo:NAME."""
+    FILE.png@tile=METRES, print:NAME@tile=METRES, pattern:NAME, another run, or zoo:NAME."""
     logo: str | None = None
     """Regions or a face list that a cloth or picture covers instead of the run's logo; into RUN/evaluation-LOGO."""
     profile: Path | None = None

@@ -42,7 +42,7 @@ OUTPUTS = ("out", "events", "publish", "leaderboard", "junit", "directory", "to"
 """Options that name what is written. Every other path, and every text that names something, is read."""
 PLAIN = (
     *("text", "name", "names", "about", "command", "licence", "region", "box", "kin", "person_class", "layout"),
-    *("device", "ray", "made_from", "only", "rungs", "zoo", "defence"),
+    *("device", "ray", "made_from", "only", "rungs", "zoo", "defence", "technique"),
 )
 """Options of text that name no file, though one may be called so."""
 SPECS = ("detector", "width_detector", "query_prior", "spec", "specs", "against", "judge")

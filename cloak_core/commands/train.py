@@ -58,6 +58,8 @@ class Train(Photographed, Detecting):
     """Detector to hide from: builtin, onnx:FILE, darknet:CFG:WEIGHTS, python:FILE:FUNCTION ... (default: builtin)."""
     query_prior: UseAppendAction[tuple[str, ...]] = ()
     """With --black-box-queries: surrogates, as in --detector, whose gradients lead the search."""
+    technique: UseAppendAction[tuple[str, ...]] = ()
+    """Technique of another package, NAME or NAME:TEXT (entry points of group cloak.techniques): runs its code."""
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     made_from: str | None = None
@@ -160,6 +162,7 @@ class Train(Photographed, Detecting):
                 inputs={key: str(value) for key, value in noted.items() if value},
                 query_prior=[self.load(spec) for spec in self.query_prior],
                 people=people,
+                techniques=self.technique,
             )
         return result.record()
 

@@ -30,6 +30,7 @@ DECISIVE = {
     "people": ("sha256", "identity"),
     **dict.fromkeys(FILES.values(), ()),
     "query_prior": ("sha256", "precision", "compiled", "source"),
+    "techniques": ("spec", "sha256"),
 }
 """The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
 AROUND = ("torch", "numpy", "device", "threads", "processes")
@@ -55,7 +56,7 @@ def read_config(folder: Path) -> dict:
 
 def decisive(config: Mapping[str, object], parts: Iterable[str] = tuple(DECISIVE)) -> dict[str, object]:
     """Select what decides the result: trainings whose configurations are equal in this are the same training."""
-    return {part: _decisive(part, config[part]) for part in parts}
+    return {part: _decisive(part, config[part]) for part in parts if part in config}
 
 
 def _decisive(part: str, value: object) -> object:
@@ -73,7 +74,7 @@ def check_same(recorded: dict, config: dict, path: Path) -> None:
     """
     for part in DECISIVE:
         old = recorded.get(part)
-        new = config[part]
+        new = config.get(part)
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.
             try:

@@ -26,7 +26,7 @@ def reach(spec: str) -> str:
     This alone decides it, for what any file says: a run, a command, a .blend, a card, a sweep, an entry of the zoo.
     """
     parts = spec.split(":")
-    if "python" in parts:
+    if "python" in parts or parts[0] == "pattern":
         return "runs code"
     # A folder of the network's own (UNC) hands Windows' password to whoever keeps it.
     if any(part.startswith(("//", "\\\\")) for part in parts[1:]):

@@ -14,6 +14,7 @@ from jaxtyping import Float32, UInt8
 
 from cloak_core.core.geometry import sum_by_face
 from cloak_core.core.logo import Cover, load_logo
+from cloak_core.core.packages import call_package
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import read_picture
 from cloak_core.core.prints import print_picture
@@ -39,7 +40,7 @@ CHEST = 0.40
 FLIPPED = "@flipped"
 """Ends the name of a picture that is worn upside down (mirrored top to bottom): the same shapes, lit from below."""
 _PICTURE = re.compile(r"(?P<file>.+)@(?P<kind>tile|patch)=(?P<metres>[^@/]*)")
-_PRINT = "print:"
+_PRINT, _PACKAGE = "print:", "pattern:"
 Opened = tuple[Pattern, dict | None, str]
 """A pattern in its colours, the config.json of the training of these (None where there is none), and its name."""
 
@@ -115,6 +116,8 @@ def open_run(
 def open_pattern(spec: str, cover: Cover | None = None, bodies: Bodies | None = None) -> Opened:
     """Open a run's folder, zoo:NAME, a file of colours [L, 3], or a picture: PICTURE@tile=METRES, PICTURE@patch=METRES.
 
+    pattern:NAME[:TEXT] is made by another package, whose code runs: only a caller may name it, no file.
+
     PICTURE: a file, print:NAME (a plain print of ours), or a run or zoo:NAME whose cloth repeats. @flipped after any
     cloth or picture wears it upside down. cover: the faces that wear it; None: a run's own, else shirt and trousers.
     bodies: whose UV map any other picture is put on. InputError: names `spec`.
@@ -125,6 +128,10 @@ def open_pattern(spec: str, cover: Cover | None = None, bodies: Bodies | None = 
         if upright is None:
             raise InputError(f"{spec}: has colours of faces; a picture or a cloth can be turned upside down")
         return replace(pattern, colors=upright[::-1].reshape(-1, 3).copy()), None, name + FLIPPED
+    if spec.startswith(_PACKAGE):
+        named = spec.removeprefix(_PACKAGE)
+        pattern, _ = call_package("cloak.patterns", named, Pattern, cover or clothes_cover(), bodies)
+        return pattern, None, re.sub(r"[/\\]", "-", spec)
     picture = _PICTURE.fullmatch(spec)
     if picture is not None:
         try:
@@ -170,7 +177,8 @@ def _on_chest(pixels: UInt8[np.ndarray, "h w 3"], metres: float) -> ChestPattern
 
 def cloth_spec(pattern: str) -> str:
     """Name a pattern's width where it is only FILE.png: 0.25 m, where most hide most (docs/reports/photographs.md)."""
-    return pattern if "@tile=" in pattern or "@patch=" in pattern else f"{pattern}@tile=0.25"
+    worn = pattern.startswith(_PACKAGE) or "@tile=" in pattern or "@patch=" in pattern
+    return pattern if worn else f"{pattern}@tile=0.25"
 
 
 def printed(pattern: Pattern, profile: Profile) -> Pattern:

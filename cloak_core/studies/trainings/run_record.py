@@ -34,6 +34,8 @@ class Training:
     """In photographs, fitted."""
     query_prior: Sequence[Detector] = ()
     """Detectors whose gradients lead a search by questions."""
+    techniques: Sequence[str] = ()
+    """Of other packages, NAME or NAME:TEXT (`core.packages`)."""
     inputs: Mapping[str, str] = field(default_factory=dict)
     """Names under which the user gave all this, for the record."""
 

@@ -14,9 +14,11 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
 from cloak_core.core.logo import Logo
 from cloak_core.core.loop import TrainingError
+from cloak_core.core.packages import call_package
+from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.source import Mixture
-from cloak_core.core.technique import Techniques
+from cloak_core.core.technique import Technique, Techniques
 from cloak_core.core.train import Job, run_training
 from cloak_core.core.training import RunResult
 from cloak_core.core.world import LostProcess, World, join_world, local_device
@@ -49,14 +51,16 @@ def train(
     alone: bool = False,
     query_prior: Sequence[Detector] = (),
     people: Sequence[Fit] = (),
+    techniques: Sequence[str] = (),
 ) -> RunResult:
     """Train the logo's colours into the run folder `out`.
 
     The loss is the ensemble's disappearance loss (the mean over `detectors` unless the settings say otherwise), plus
     weighted total variation and what techniques add. A search by questions (`black_box_queries`) looks where the
     gradients of the detectors of `query_prior` point. `people`: fitted people in photographs, shown in the share of the
-    images that the settings say. `on_event` hears every event that goes to events.jsonl. `inputs` (paths and specs, as
-    the user gave them) are recorded.
+    images that the settings say. `techniques` of other packages, NAME or NAME:TEXT, act beside those that the settings
+    have on. `on_event` hears every event that goes to events.jsonl. `inputs` (paths and specs, as the user gave them)
+    are recorded.
     Under torchrun its processes train together, unless this one is to train `alone`.
     Nothing of the process is changed: threads and the like are the caller's (`torch.set_num_threads`).
     SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step with a checkpoint;
@@ -78,7 +82,7 @@ def train(
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
     people = Fits.of(people)
-    training = Training(settings, bodies, logo, detectors, backgrounds, people, query_prior, inputs or {})
+    training = Training(settings, bodies, logo, detectors, backgrounds, people, query_prior, techniques, inputs or {})
     try:
         with join_world(local_device(settings.compute.device), alone) as world:
             return run_training(make_job(training, world), Path(out), resume, on_event, world)
@@ -94,16 +98,31 @@ def make_job(training: Training, world: World) -> Job:
     surrogates = [detector.to(device) for detector in training.query_prior]
     pattern = pattern_of(settings.pattern, bodies, logo)
     start = _start(training)
-    techniques = build_techniques(settings, pattern, detectors, device)
+    techniques, foreign = _techniques(training, pattern, detectors, device)
     if start is None:
         first = first_colors(settings.optimization, pattern, bodies, settings.run.seed)
     else:
         first = pattern.from_faces(start)
-    config = run_config(training, world.size, _files(start, techniques))
+    config = run_config(training, world.size, _files(start, techniques) | foreign)
     source = make_source(training, device)
     if not training.people or settings.photographs.people_share < 1:
         bodies_of(source).require_visible(pattern)
     return Job(settings, pattern, first, techniques, source, training.backgrounds, detectors, surrogates, config)
+
+
+def _techniques(
+    training: Training, pattern: Pattern, detectors: Sequence[Detector], device: torch.device
+) -> tuple[Techniques, dict[str, object]]:
+    """Build those that the settings have on, then those of other packages, and what config.json has of the latter."""
+    settings = training.settings
+    own = build_techniques(settings, pattern, detectors, device)
+    foreign = [
+        call_package("cloak.techniques", spec, Technique, settings, pattern, detectors, device)
+        for spec in training.techniques
+    ]
+    if not foreign:
+        return own, {}
+    return Techniques([*own, *(made for made, _ in foreign)]), {"techniques": [record for _, record in foreign]}
 
 
 def _start(training: Training) -> Float32[np.ndarray, "L 3"] | None:
@@ -136,5 +155,5 @@ def bodies_of(source: BodySource | Mixture) -> BodySource:
 def training_config(training: Training) -> dict:
     """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
     pattern = pattern_of(training.settings.pattern, training.bodies, training.logo)
-    techniques = build_techniques(training.settings, pattern, training.detectors, torch.device("cpu"))
-    return run_config(training, files=_files(_start(training), techniques))
+    techniques, foreign = _techniques(training, pattern, training.detectors, torch.device("cpu"))
+    return run_config(training, files=_files(_start(training), techniques) | foreign)
