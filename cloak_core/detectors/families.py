@@ -6,12 +6,12 @@ A new family is a row of `FAMILIES` and a module with its loader, which takes a 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from cloak_core.detectors.defended.table import list_defences
-from cloak_core.detectors.extras import install_command, installed, require
 from cloak_core.detectors.specs import PERSON, Request
 from cloak_core.files.errors import InputError
 
@@ -45,6 +45,20 @@ class Family:
     trains: bool = True
     needs: tuple[str, ...] = ()
     """Packages beyond the project's own dependencies."""
+    extra: str = ""
+    """The extra of this project that installs them."""
+    copyleft: str = ""
+    """Their licence, where that asks something of those who use them."""
+
+    @property
+    def missing(self) -> str:
+        """The first package that is needed and not installed (none is imported); "" for none."""
+        return next((package for package in self.needs if importlib.util.find_spec(package) is None), "")
+
+    @property
+    def install(self) -> str:
+        """The command that installs what it needs."""
+        return f"pip install 'cloak-core[{self.extra}]'"
 
     def check(self, request: Request) -> None:
         """Check a spec before any file is read. InputError: another form, an option that means nothing here."""
@@ -57,8 +71,9 @@ class Family:
 
     def load(self, request: Request) -> Detector:
         """Load the detector, frozen, on the CPU. InputError: whatever the loader cannot find, read or understand."""
-        for package in self.needs:  # before the loader's module, which may import them
-            require(package, request.spec)
+        if package := self.missing:  # asked before the loader's module, which may import it
+            licence = f" ({self.copyleft})" if self.copyleft else ""
+            raise InputError(f"detector {request.spec!r} needs the package {package}{licence}: {self.install}")
         module, _, function = self.loader.partition(":")
         return getattr(importlib.import_module(f"cloak_core.detectors.{module}"), function)(request)
 
@@ -91,6 +106,7 @@ FAMILIES = {
         loader="transformers_family:load_transformers",
         refuses=NO_LAYOUT | {"letterbox": "the model's own processor resizes; drop letterbox"},
         needs=("transformers",),
+        extra="transformers",
         weights="your folder, or the local cache",
         licence="Apache-2.0; weights: see the model card",
         verified="logits and post-processing of the library, small random models of each family",
@@ -101,6 +117,7 @@ FAMILIES = {
         refuses={},
         changes_networks=False,
         needs=("onnxruntime", "onnx", "onnx2torch"),
+        extra="onnx",
         weights="your file",
         licence="MIT (onnxruntime), Apache-2.0 (onnx, onnx2torch); weights: their authors'",
         verified="against onnxruntime at every file's first loading; hand-made models of each output layout",
@@ -112,6 +129,7 @@ FAMILIES = {
         changes_networks=False,
         trains=False,
         needs=("openvino",),
+        extra="openvino",
         weights="your .xml and .bin",
         licence="Apache-2.0 (openvino); weights: their authors'",
         verified="an Open Model Zoo network against its ONNX twin",
@@ -123,6 +141,7 @@ FAMILIES = {
         changes_networks=False,
         trains=False,
         needs=("ai_edge_litert",),
+        extra="tflite",
         weights="your file",
         licence="Apache-2.0 (LiteRT); weights: their authors'",
         verified="MediaPipe's pose detector against its ONNX twin",
@@ -132,6 +151,8 @@ FAMILIES = {
         loader="ultralytics_family.detector:load_ultralytics",
         refuses={name: why for name, why in NO_LAYOUT.items() if name != "stretch"},
         needs=("ultralytics",),
+        extra="ultralytics",
+        copyleft="AGPL-3.0",
         weights="your .pt (ultralytics' or an original YOLOv5's), or a .yaml with random ones",
         licence="AGPL-3.0 (the package and its official weights; files made from such a model keep that licence)",
         verified="ultralytics' own decoded output, every family; an original YOLOv5 against its ONNX twin",
@@ -160,11 +181,19 @@ def list_families() -> dict[str, list[dict]]:
 
     `installed` says whether it works here and now; where not, `install` is the command that changes it, else None.
     """
-    families = []
-    for name, family in FAMILIES.items():
-        missing = [package for package in family.needs if not installed(package)]
-        install = install_command(missing[0]) if missing else None
-        row = {"family": name, "spec": family.spec, "trains": family.trains, "evaluates": True}
-        row |= {"needs": ", ".join(family.needs) or None, "weights": family.weights, "licence": family.licence}
-        families.append(row | {"verified": family.verified, "installed": not missing, "install": install})
-    return {"families": families, "defences": list_defences()}
+    rows = [
+        {
+            "family": name,
+            "spec": family.spec,
+            "trains": family.trains,
+            "evaluates": True,
+            "needs": ", ".join(family.needs) or None,
+            "weights": family.weights,
+            "licence": family.licence,
+            "verified": family.verified,
+            "installed": not family.missing,
+            "install": family.install if family.missing else None,
+        }
+        for name, family in FAMILIES.items()
+    ]
+    return {"families": rows, "defences": list_defences()}

@@ -6,7 +6,6 @@ import logging
 from pathlib import Path
 
 from cloak_core.detectors.defended.table import DEFENCES, list_defences, split_defence
-from cloak_core.detectors.extras import COPYLEFT, installed
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.specs import Request, parse_spec
 from cloak_core.files.errors import InputError, suggestion
@@ -53,9 +52,9 @@ def full_spec(spec: str) -> str:
     family = BY_SUFFIX.get(suffix)
     if family is None:
         raise InputError(_unknown(spec, parts[0], request.family, suffix))
-    if family in COPYLEFT and family not in _said and installed(family):
+    if (licence := FAMILIES[family].copyleft) and family not in _said and not FAMILIES[family].missing:
         _said.add(family)
-        _log.warning("%s: read through the package %s, which is %s", parts[0], family, COPYLEFT[family])
+        _log.warning("%s: read through the package %s, which is %s", parts[0], family, licence)
     if family == "darknet" and len(parts) == 1:
         parts = _both_halves(Path(parts[0]), spec)
     return f"{family}:{':'.join(parts)}{options}"

@@ -15,8 +15,7 @@ import pytest
 import torch
 from torch import nn
 
-from cloak_core.detectors import extras
-from cloak_core.detectors.families import list_families
+from cloak_core.detectors import families
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, lowers_score
@@ -207,9 +206,9 @@ def test_a_whole_model_saved_alone(tmp_path: Path) -> None:
 
 
 def test_the_licence_is_named_where_it_is_offered(monkeypatch: pytest.MonkeyPatch) -> None:
-    (row,) = [row for row in list_families()["families"] if row["family"] == "ultralytics"]
+    (row,) = [row for row in families.list_families()["families"] if row["family"] == "ultralytics"]
     assert "AGPL-3.0" in row["licence"] and row["trains"] and row["installed"]
-    monkeypatch.setattr(extras.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(families.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"package ultralytics \(AGPL-3\.0\): pip install 'cloak-core\[ultralytics\]'"):
         load_detector("ultralytics:a.pt")
 
@@ -229,7 +228,6 @@ def state():
         random=torch.get_rng_state().sum().item(), dtype=torch.get_default_dtype(),
         environment={k: v for k, v in os.environ.items() if not k.startswith(("YOLO_", "ULTRALYTICS_"))},
     )
-from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector
 list_families()
 assert "ultralytics" not in sys.modules

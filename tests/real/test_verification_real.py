@@ -1,10 +1,10 @@
 """The verification kit on real detectors, photographs and renders."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-from cloak_core.detectors.extras import installed
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.verification import verify
 from cloak_core.detectors.verification.kit import natural_size
@@ -21,7 +21,7 @@ def spec(name: str, shared: Path) -> str:
     file = shared / "data" / "detectors" / f"{name}.onnx"
     if not file.is_file():
         return spec_of(name, shared)
-    if not installed("onnx2torch"):
+    if find_spec("onnx2torch") is None:
         pytest.skip("pip install 'cloak-core[onnx]'")
     return f"onnx:{file}"
 
