@@ -81,7 +81,7 @@ class Family:
 FAMILIES = {
     "builtin": Family(
         spec="builtin[:WEIGHTS]",
-        loader="builtin:load_builtin",
+        loader="darknet.detector:load_darknet",
         weights="embedded, or your .weights of the same network (cloak harden)",
         licence="Apache-2.0",
         verified="clean recall and false alarms on held-out bodies and photographs",

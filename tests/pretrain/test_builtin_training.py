@@ -12,9 +12,8 @@ from cloak_core.core.detector.outcomes import on_body
 from cloak_core.core.detector.scoring import THRESHOLD, max_person_score
 from cloak_core.core.paint import compose, true_boxes
 from cloak_core.core.visibility.settings import RenderSettings
-from cloak_core.detectors.builtin import CFG, WEIGHTS
 from cloak_core.detectors.darknet.cfg import read_cfg_text
-from cloak_core.detectors.darknet.detector import read_darknet
+from cloak_core.detectors.darknet.detector import BUILTIN_CFG, BUILTIN_WEIGHTS, read_darknet
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.loading import load_detector
@@ -28,7 +27,7 @@ SMALL = {"batch": 4, "views": 6, "scenes": 3, "judged": 32}
 
 
 def test_the_network_is_small():
-    network = build_network(read_cfg_text(CFG))
+    network = build_network(read_cfg_text(BUILTIN_CFG))
     assert sum(p.numel() for p in network.parameters()) <= 1_500_000
     assert network.heads[0].classes == 1
 
@@ -53,9 +52,9 @@ def test_a_run_writes_a_pair_that_the_reader_takes(tmp_path):
 @pytest.mark.slow
 def test_a_run_goes_on_from_stored_weights(tmp_path):
     """With a learning rate of next to nothing the weights it started from come out again, calibration apart."""
-    train_builtin(tmp_path / "on", steps=1, start_from=WEIGHTS, learning_rate=1e-9, **SMALL)
-    before, after = (build_network(read_cfg_text(CFG)) for _ in range(2))
-    read_weights(before, WEIGHTS)
+    train_builtin(tmp_path / "on", steps=1, start_from=BUILTIN_WEIGHTS, learning_rate=1e-9, **SMALL)
+    before, after = (build_network(read_cfg_text(BUILTIN_CFG)) for _ in range(2))
+    read_weights(before, BUILTIN_WEIGHTS)
     read_weights(after, tmp_path / "on" / "builtin.weights")
     torch.testing.assert_close(after.layers[0].conv.weight, before.layers[0].conv.weight, atol=1e-5, rtol=0)
 
@@ -65,7 +64,7 @@ def test_the_committed_weights_find_unseen_people_and_no_others():
     """A handful of renders of bodies never trained on, and of places never trained on (not the figures of record)."""
     detector, bodies = load_detector("builtin"), sample_bodies("unseen")
     places = load_backgrounds("procedural:test:24").batch(range(24))
-    assert WEIGHTS.stat().st_size < 6 << 20
+    assert BUILTIN_WEIGHTS.stat().st_size < 6 << 20
     view_cache = ViewCache(bodies, RenderSettings(samples=4))
     logo = np.flatnonzero(bodies.regions["chest"])
     grey = torch.full((len(logo), 3), 0.5)

@@ -3,8 +3,8 @@
 import torch
 
 from cloak_core.core.detector.scoring import THRESHOLD
-from cloak_core.detectors.builtin import CFG
 from cloak_core.detectors.darknet.cfg import read_cfg_text
+from cloak_core.detectors.darknet.detector import BUILTIN_CFG
 from cloak_core.detectors.darknet.network import build_network
 from tools.pretrain.calibration import apply_calibration, best_cut, calibrate
 
@@ -19,7 +19,7 @@ def test_threshold_lies_between_separable_classes():
 
 
 def test_fold_changes_objectness_alone():
-    network = build_network(read_cfg_text(CFG), input_size=(64, 64), seed=3).eval()
+    network = build_network(read_cfg_text(BUILTIN_CFG), input_size=(64, 64), seed=3).eval()
     images = torch.rand(2, 3, 64, 64)
     fitted = calibrate(torch.tensor([1.0, 2.0, 4.0]), torch.tensor([-3.0, 0.0, 1.5]))
     with torch.no_grad():

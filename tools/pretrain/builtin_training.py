@@ -18,8 +18,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.detector.scoring import box_iou
-from cloak_core.detectors.builtin import CFG
 from cloak_core.detectors.darknet.cfg import read_cfg_text
+from cloak_core.detectors.darknet.detector import BUILTIN_CFG
 from cloak_core.detectors.darknet.network import Network, build_network
 from cloak_core.detectors.darknet.weights import read_weights, write_darknet
 from cloak_core.files.errors import InputError
@@ -92,7 +92,7 @@ def train_builtin(
         raise InputError(f"BuiltinSettings: {error}") from None
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
-    cfg = read_cfg_text(CFG)
+    cfg = read_cfg_text(BUILTIN_CFG)
     network = build_network(cfg, seed=settings.seed)
     if start_from is not None:
         read_weights(network, Path(start_from))

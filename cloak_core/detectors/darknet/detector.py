@@ -17,6 +17,10 @@ from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 
+BUILTIN_CFG = Path(__file__).parents[1] / "builtin.cfg"
+BUILTIN_WEIGHTS = BUILTIN_CFG.with_suffix(".weights")
+"""The detector that comes with Cloak: a small person detector of the YOLOv2 family, trained by tools/pretrain."""
+
 
 class DarknetDetector(Detector):
     """Resizes images to the network's input, runs it, and gives boxes in the images' pixels.
@@ -45,19 +49,14 @@ class DarknetDetector(Detector):
 
 
 def load_darknet(request: Request) -> DarknetDetector:
-    """Load `darknet:CFG:WEIGHTS`; see `read_darknet`."""
-    cfg, weights = (Path(part).expanduser() for part in request.parts)
-    return read_darknet(cfg, weights, request)
+    """Load `darknet:CFG:WEIGHTS`, or the embedded detector (`builtin`, or `builtin:WEIGHTS` of the same network).
 
-
-def read_darknet(
-    cfg: Path, weights: Path, request: Request, class_names: tuple[str, ...] | None = None
-) -> DarknetDetector:
-    """Read a .cfg/.weights pair as a frozen detector, batch norm folded (unless told not to), channels last.
-
-    Class names come from `class_names`, a .names file beside the cfg, or COCO or VOC by their number. InputError as in
-    `read_cfg`, `Network`, `read_weights` and `person_index`.
+    It is frozen, batch norm folded (unless told not to), channels last. Class names come from a .names file beside the
+    cfg, or are COCO's or VOC's by their number. InputError as in `read_cfg`, `Network`, `read_weights` and
+    `person_index`.
     """
+    is_builtin, files = request.family == "builtin", [Path(part).expanduser() for part in request.parts]
+    cfg, weights = (BUILTIN_CFG, *files, BUILTIN_WEIGHTS)[:2] if is_builtin else files
     sections = read_cfg(cfg)
     # A cfg of a few lines can ask for any amount of memory: none is taken before the file of weights bears it out.
     with torch.device("meta"):
@@ -67,13 +66,15 @@ def read_darknet(
     if len(counts) != 1:
         raise InputError(f"{cfg}: its heads have different numbers of classes {sorted(counts)}")
     count = counts.pop()
-    names = class_names or names_beside(cfg, count)
+    names = ("person",) if is_builtin else names_beside(cfg, count)
     person = person_index(names, request.person, count, str(cfg))
     read_weights(network, weights)
     network.eval()
     network = network.fold() if request.fold else network
     detector = DarknetDetector(network, person, cfg.stem, request.spec, request.letterbox, channels_last=request.fold)
     detector.class_names = names
+    if is_builtin:  # it was trained and judged for that
+        detector.operating_point, detector.operating_point_assumed = 0.5, False
     detector.source = {
         "cfg": sha256_record([(section.kind, section.options) for section in sections]),
         "input_size": list(network.input_size),

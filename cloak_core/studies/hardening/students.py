@@ -9,10 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors import builtin
 from cloak_core.detectors.classes import COCO, UNDERSTOOD, VOC, Description, names_beside
 from cloak_core.detectors.darknet.cfg import read_cfg_text
-from cloak_core.detectors.darknet.detector import DarknetDetector
+from cloak_core.detectors.darknet.detector import BUILTIN_CFG, DarknetDetector
 from cloak_core.detectors.darknet.heads import Yolo
 from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.darknet.weights import write_darknet
@@ -80,7 +79,7 @@ class DarknetStudent(Student):
         detector.network.to(memory_format=torch.channels_last)  # twice as fast to learn, most of it in max pooling
         detector.memory_format = torch.channels_last
         own = self.request.family == "builtin"
-        cfg = builtin.CFG if own else Path(self.request.parts[0]).expanduser()
+        cfg = BUILTIN_CFG if own else Path(self.request.parts[0]).expanduser()
         self.cfg = read_cfg_text(cfg)
         self.class_names = () if own else names_beside(cfg, teacher.network.heads[0].classes) or ()
         """Where a file beside the cfg says them; none where their number does."""
