@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import logging
 from collections.abc import Mapping, Sequence
@@ -87,7 +88,7 @@ NAMES = ("classes", "names", "class_names", "labels")
 CONFIDENCE = ("confidence", "conf", "conf_thres", "score_threshold")
 LICENCE = ("licence", "license")
 UNDERSTOOD = (*NAMES, *CONFIDENCE, *LICENCE, "person_class", "input", "output", "layout")
-"""Keys of a description that `read_description` reads."""
+"""Keys of a description that `describe` reads."""
 _log = logging.getLogger("cloak")
 
 
@@ -107,46 +108,55 @@ class Description:
 
 
 def read_description(path: Path) -> Description:
-    """Read NAME.json beside NAME.SUFFIX, as far as it is understood; nothing where there is none.
+    """Read NAME.json beside NAME.SUFFIX, as far as it is understood (`describe`); nothing where there is none."""
+    beside = path.with_suffix(".json")
+    if beside == path or not beside.is_file():
+        return Description()
+    try:
+        return describe(read_json(beside))
+    except InputError as error:  # perhaps another program's, about something else
+        _log.warning("%s; nothing of it is used", error)
+        return Description()
+
+
+def describe(said: Mapping[str, object]) -> Description:
+    """Understand what a file's metadata or a JSON file says of a network.
 
     Understood: `classes` (or names, class_names, labels: a list, or {"0": NAME}), `person_class` (an index or a name),
     `confidence` in (0, 1), `licence`, `output.layout`, and `input` with `channels` (RGB or BGR), `range` and
     `normalisation`.
     """
-    beside = path.with_suffix(".json")
-    if beside == path or not beside.is_file():
-        return Description()
-    try:
-        said = read_json(beside)
-    except InputError as error:  # perhaps another program's, about something else
-        _log.warning("%s; nothing of it is used", error)
-        return Description()
     names = next((found for key in NAMES if (found := names_of(said.get(key)))), None)
     outputs, inputs = (part if isinstance(part, Mapping) else {} for part in (said.get("output"), said.get("input")))
     layout, person = outputs.get("layout", said.get("layout")), said.get("person_class")
     if isinstance(person, str) and person in (names or ()):
         person = names.index(person)
+    licences = (" ".join(word.split()) for key in LICENCE if isinstance(word := said.get(key), str))
     return Description(
         names,
         person if isinstance(person, int) and not isinstance(person, bool) and person >= 0 else None,
         layout if isinstance(layout, str) else None,
         confidence_of(said),
         _pixels(inputs),
-        licence_of(said),
+        next(licences, None) or None,
     )
-
-
-def licence_of(said: Mapping[str, object]) -> str | None:
-    """Find the licence that is said, as one line; None where none is."""
-    return next((" ".join(word.split()) for key in LICENCE if isinstance(word := said.get(key), str)), None) or None
 
 
 def names_of(said: object) -> tuple[str, ...] | None:
     """Read class names from a list of words, or from a word for each number; None where it is neither."""
+    said = literal(said) if isinstance(said, str) else said
     if isinstance(said, Mapping):
         said = [said.get(index, said.get(str(index))) for index in range(len(said))]
     words = isinstance(said, list | tuple) and said and all(isinstance(name, str) for name in said)
     return tuple(said) if words else None
+
+
+def literal(text: str) -> object:
+    """Read a value that was written as Python has it (ultralytics does so); None where it is none."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
 
 
 def confidence_of(said: Mapping[str, object]) -> float | None:

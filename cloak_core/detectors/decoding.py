@@ -39,6 +39,26 @@ class Decoded(NamedTuple):
         return Detections(boxes, scores, self.objectness, likeliest, other=best, other_class=other.number)
 
 
+def queries(
+    logits: Float[Tensor, "B Q K"], boxes: Float[Tensor, "B Q 4"], size: tuple[int, int], exclusive: bool
+) -> Decoded:
+    """Decode the answers of a transformer: boxes are centre and size, fractions of an image of (height, width).
+
+    exclusive: classes exclude each other, and the last is "no object" (DETR); else each stands alone (RT-DETR).
+    """
+    classes = logits.softmax(dim=-1)[..., :-1] if exclusive else logits.sigmoid()
+    return Decoded(in_pixels(corners(boxes), size), classes)
+
+
+def expected_distances(sides: Float[Tensor, "*n R4"]) -> Float[Tensor, "*n 4"]:
+    """Compute the mean distance to each side of a box, in cells, from a distribution over 0, 1, 2 ... for each.
+
+    Generalized Focal Loss (arXiv:2006.04388, equation 5).
+    """
+    bins = sides.unflatten(-1, (4, -1))
+    return bins.softmax(dim=-1) @ torch.arange(bins.shape[-1], device=bins.device, dtype=bins.dtype)
+
+
 def corners(boxes: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
     """Convert centre and size to corners."""
     half = boxes[..., 2:] / 2

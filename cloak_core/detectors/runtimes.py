@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from cloak_core.detectors.classes import confidence_of, read_description
+from cloak_core.detectors.classes import Description, confidence_of, read_description
 from cloak_core.detectors.onnx_family.decoders import SsdHead
 from cloak_core.detectors.onnx_family.detector import OnnxDetector, file_and_layout, load_black_box
 from cloak_core.detectors.onnx_family.layouts import OPEN_MODEL_ZOO, SYMMETRIC, Layout
@@ -70,10 +70,14 @@ def load_openvino(request: Request) -> OnnxDetector:
         channels_last=channels_last,
         size=size,
         output_names=tuple(next(iter(output.names), f"output {k}") for k, output in enumerate(compiled.outputs)),
-        names=tuple(_said(network, "labels").split()) or None,
-        confidence=confidence_of({"confidence": _said(network, "confidence_threshold")}),
+        said=(
+            Description(
+                names=tuple(_said(network, "labels").split()) or None,
+                confidence=confidence_of({"confidence": _said(network, "confidence_threshold")}),
+            ),
+            read_description(path),
+        ),
         layout=None if head is None else ("ssd-head", Layout(head, 0.5, pixels=OPEN_MODEL_ZOO)),
-        described=read_description(path),
     )
     return load_black_box(request, file, run, "openvino")
 
@@ -164,9 +168,7 @@ def load_tflite(request: Request) -> OnnxDetector:
         channels_last=channels_last,
         size=size,
         output_names=tuple(str(output["name"]) for output in outputs),
-        names=_labels(data),
-        pixels=_pixels(given),
-        described=read_description(path),
+        said=(Description(names=_labels(data), pixels=_pixels(given)), read_description(path)),
     )
     return load_black_box(request, file, run, "ai-edge-litert")
 

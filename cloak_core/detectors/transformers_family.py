@@ -14,7 +14,7 @@ from torch.overrides import TorchFunctionMode
 
 from cloak_core.core.detector.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.classes import person_index
-from cloak_core.detectors.decoding import Decoded, corners, in_pixels
+from cloak_core.detectors.decoding import queries
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import IMAGENET, Placement
 from cloak_core.detectors.specs import MAX_SIDE, Request, check_size
@@ -74,8 +74,7 @@ class TransformersDetector(Detector):
         with Undetached() if images.requires_grad else nullcontext():
             output = self.model(pixel_values=self.preprocessing(images))
         logits, boxes = at_least_float32(output.logits), at_least_float32(output.pred_boxes)
-        probability = logits.softmax(dim=-1) if logits.shape[-1] == self.labels + 1 else logits.sigmoid()
-        found = Decoded(in_pixels(corners(boxes), images.shape[2:]), probability[..., : self.labels])
+        found = queries(logits, boxes, images.shape[2:], exclusive=logits.shape[-1] == self.labels + 1)
         return found.of_person(self.person, Placement())
 
 

@@ -31,7 +31,7 @@ SIZE = (100, 200)
 
 
 def guess(*shapes: tuple[int, ...]) -> str | None:
-    return guess_layout([torch.zeros(shape) for shape in shapes], SIZE, None)
+    return guess_layout([torch.zeros(shape) for shape in shapes], SIZE, 0)
 
 
 def of_class(found: Decoded, number: int) -> list[float]:

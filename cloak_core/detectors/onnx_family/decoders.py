@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.classes import COCO
-from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
+from cloak_core.detectors.decoding import Decoded, cell_places, corners, expected_distances, in_pixels, queries
 
 Size = tuple[int, int]
 Decode = Callable[[Sequence[Tensor], Size], Decoded]
@@ -49,16 +49,15 @@ def yolox(outputs: Sequence[Tensor], size: Size) -> Decoded:
     return Decoded(corners(boxes), rows[..., 5:], rows[..., 4])
 
 
-def detr(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """Decode logits [B, Q, K + 1] (the last is "no object") and boxes [B, Q, 4], centre and size as fractions."""
-    logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
-    return Decoded(corners(in_pixels(boxes, size)), logits.softmax(dim=-1)[..., :-1])
+@dataclass(frozen=True)
+class Queries:
+    """Logits [B, Q, K] and boxes [B, Q, 4] of a transformer, in either order (`decoding.queries`)."""
 
+    exclusive: bool
 
-def rtdetr(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """Decode logits [B, Q, K] of independent classes and boxes [B, Q, 4], centre and size as fractions."""
-    logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
-    return Decoded(corners(in_pixels(boxes, size)), logits.sigmoid())
+    def __call__(self, outputs: Sequence[Tensor], size: Size) -> Decoded:
+        logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
+        return queries(logits, boxes, size, self.exclusive)
 
 
 def end2end(outputs: Sequence[Tensor], size: Size) -> Decoded:
@@ -76,7 +75,7 @@ def every_box(outputs: Sequence[Tensor], size: Size) -> Decoded:
 @dataclass(frozen=True)
 class NanoDet:
     """[B, N, K + 4 R], or class and distance outputs apart for each stride: scores, and for each side of the box a
-    distribution over R distances in cells (Generalized Focal Loss, arXiv:2006.04388, equation 5)."""
+    distribution over R distances in cells (`expected_distances`)."""
 
     logits: bool = False
     """Whether scores still want a sigmoid; exports differ."""
@@ -88,8 +87,7 @@ class NanoDet:
         classes, sides = self._split(outputs)
         strides = strides_of(classes.shape[1], size) or YOLO_STRIDES[0]
         cell, stride = _grid(size, strides, classes)
-        bins = sides.unflatten(-1, (4, -1)).softmax(dim=-1)
-        distance = (bins * torch.arange(bins.shape[-1], device=bins.device, dtype=bins.dtype)).sum(-1) * stride
+        distance = expected_distances(sides) * stride
         # NanoDet-Plus's four strides count from the cell's corner, the older three from its middle.
         middle = (cell + (0.0 if len(strides) == 4 else 0.5)) * stride
         boxes = torch.cat([middle - distance[..., :2], middle + distance[..., 2:]], dim=-1)

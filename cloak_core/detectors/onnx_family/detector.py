@@ -22,7 +22,6 @@ from cloak_core.detectors.onnx_family.layouts import (
     LAYOUTS,
     Layout,
     guess_layout,
-    is_classifier,
     why_unknown,
 )
 from cloak_core.detectors.onnx_family.model_file import ModelFile, NetworkFile, read_model, read_proto
@@ -44,6 +43,8 @@ from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError, first_line
 
 CHOSEN_ALONE = "only the boxes that the file chooses have a gradient"
+WIDEST_ROW = 7
+"""Numbers of a box that is left after suppression, at most: image, class, score and corners."""
 COCO_91 = (90, 91, 92)
 """Numbers of classes of exports that count COCO's own ids, where "nothing" may be among them."""
 PACKAGES = ("onnx", "onnx2torch", "onnxruntime")
@@ -176,7 +177,7 @@ def assemble(request: Request, file: NetworkFile, network: Converted | BlackBox)
     outputs = _first_outputs(file, network)
     name, layout, decode = _layout(request, file, outputs)
     letterbox = request.letterbox or (layout.letterbox and not request.stretch)
-    pixels = request.pixels or file.pixels or file.described.pixels
+    pixels = request.pixels or file.first("pixels")
     detector = OnnxDetector(network, decode, file.size, pixels or layout.pixels, letterbox, request.spec)
     detector.name, detector.path = file.path.stem, file.path
     detector.pixels_assumed, detector.fill = pixels is None, layout.fill
@@ -185,7 +186,7 @@ def assemble(request: Request, file: NetworkFile, network: Converted | BlackBox)
     # Among 91 and more of COCO's own numbering the first is nothing.
     detector.first_class = int(detector.class_names is COCO_IDS and count != COCO_91[0])
     detector.person = _person(request, detector.class_names, file, count)
-    confidence = request.confidence or file.confidence or file.described.confidence
+    confidence = request.confidence or file.first("confidence")
     detector.operating_point = confidence or layout.confidence
     detector.operating_point_assumed = not confidence
     options = {"layout": name, "pixels": repr(detector.pixels), "letterbox": letterbox}
@@ -221,14 +222,16 @@ def _layout(request: Request, file: NetworkFile, outputs: list[Tensor]) -> tuple
     """Find the layout, its name, and what decodes such outputs."""
     labelled = zip(file.output_names, outputs, strict=True)
     shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled)
-    if is_classifier(outputs) and not file.suppresses:
+    first = outputs[0].shape
+    is_row = len(first) >= 2 and first[0] == 1 and first[1] > WIDEST_ROW and all(side == 1 for side in first[2:])
+    if len(outputs) == 1 and is_row and not file.suppresses:  # one thing said of a whole image
         raise InputError(f"{file.path}: not a detector: one output, {shapes}")
     name, layout = file_and_layout(request)[1], None
     if file.layout is not None and name in ("", file.layout[0]):
         name, layout = file.layout
-    if not name and file.described.layout in LAYOUTS:
-        name = file.described.layout
-    name = name or guess_layout(outputs, file.size, file.names and len(file.names)) or ""
+    if not name and file.first("layout") in LAYOUTS:
+        name = file.first("layout")
+    name = name or guess_layout(outputs, file.size, len(file.first("names") or ())) or ""
     known = ", ".join(LAYOUTS)
     if not name:
         why = why_unknown(outputs, file.suppresses)
@@ -273,9 +276,9 @@ def _compare(detector: OnnxDetector, file: ModelFile, fold: bool) -> None:
 
 def _names(file: NetworkFile, layout: Layout, count: int | None) -> tuple[str, ...] | None:
     """Find names of its classes: the file's own, its description's, of a list beside it, or COCO's by their number."""
-    for said in (file.names, file.described.names):
-        if said and count in (None, len(said)):
-            return said
+    for said in file.said:
+        if said.names and count in (None, len(said.names)):
+            return said.names
     if count is None:
         beside = file.path.with_suffix(".names")
         return read_names(beside) if beside.is_file() else layout.names
@@ -290,7 +293,7 @@ def _person(request: Request, names: tuple[str, ...] | None, file: NetworkFile, 
 
     count: of its classes; None where its outputs do not say.
     """
-    described = file.described.person
+    described = file.first("person")
     if request.person_class is None and described is not None and (count is None or described < count):
         return described
     if request.person_class is None and names is None and count in (None, 1):

@@ -11,9 +11,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from torch import Tensor
-
-from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.onnx_family.decoders import every_box
 from cloak_core.detectors.onnx_family.layouts import END_TO_END, LAYOUTS
 from cloak_core.detectors.onnx_family.model_file import ModelFile
@@ -112,18 +109,14 @@ def _has_the_same_best(file: ModelFile, cut: ModelFile) -> bool:
     whole, before = Session(file), Session(cut)
     found, sane = 0, True
     for image in sample_images(file.size).split(1):
-        (rows,), every = whole(image), every_box(before(image), file.size)
-        boxes, scores = every.boxes, every.classes
+        (rows,), (boxes, scores, _) = whole(image), every_box(before(image), file.size)
         if rows.dim() != 3 or rows.shape[2] != 6 or boxes.shape[:2] != scores.shape[:2] or boxes.shape[2] != 4:
             return False
         best = [row for row in rows[0, :ROWS] if row[4] > 0]
-        if not all(_stands_in(row, every) for row in best):
-            return False
+        for row in best:
+            near = (boxes[0] - row[:4]).abs().amax(dim=1) <= PIXELS
+            if not bool((near & ((scores[0, :, int(row[5])] - row[4]).abs() <= SCORE)).any()):
+                return False
         found += len(best)
         sane &= bool((boxes[..., 2:] >= boxes[..., :2]).all()) and bool(((scores >= 0) & (scores <= 1)).all())
     return found > 0 or sane
-
-
-def _stands_in(row: Tensor, every: Decoded) -> bool:
-    near = (every.boxes[0] - row[:4]).abs().amax(dim=1) <= PIXELS
-    return bool((near & ((every.classes[0, :, int(row[5])] - row[4]).abs() <= SCORE)).any())

@@ -14,6 +14,7 @@ from cloak_core.detectors.onnx_family.decoders import (
     BoxesScores,
     Decode,
     NanoDet,
+    Queries,
     RawYolo,
     Size,
     YoloRows,
@@ -21,11 +22,9 @@ from cloak_core.detectors.onnx_family.decoders import (
     boxes_labels,
     cells,
     detection_rows,
-    detr,
     end2end,
     fastestdet,
     mediapipe_pose,
-    rtdetr,
     strides_of,
     tflite_ssd,
     yolox,
@@ -80,8 +79,8 @@ LAYOUTS: dict[str, Layout] = {
     "yolov8": Layout(YoloRows(objectness=False), 0.25, letterbox=True),
     "yolox": Layout(yolox, 0.25, letterbox=True, pixels=PixelFormat(bgr=True, range=255.0)),
     END_TO_END: Layout(end2end, 0.25, letterbox=True, chosen=True, names=COCO),
-    "detr": Layout(detr, 0.5, pixels=PixelFormat(mean=IMAGENET[0], std=IMAGENET[1])),
-    "rtdetr": Layout(rtdetr, 0.5),
+    "detr": Layout(Queries(exclusive=True), 0.5, pixels=PixelFormat(mean=IMAGENET[0], std=IMAGENET[1])),
+    "rtdetr": Layout(Queries(exclusive=False), 0.5),
     "nanodet": Layout(NanoDet(), 0.4, pixels=NANODET),
     "fastestdet": Layout(fastestdet, 0.65, pixels=PixelFormat(bgr=True)),
     "yolov3-raw": Layout(RawYolo(COCO_ANCHORS, exponential=True), 0.25, letterbox=True),
@@ -94,16 +93,14 @@ LAYOUTS: dict[str, Layout] = {
     "mediapipe-pose": Layout(mediapipe_pose, 0.5, letterbox=True, pixels=SYMMETRIC, fill=0.0),
 }
 """By the name that a spec may say."""
-WIDEST_ROW = 7
-"""Numbers of a box that is left after suppression, at most: image, class, score and corners."""
 MOST_QUERIES = 1000
 """Most boxes with which transformers and end-to-end heads answer."""
 
 
-def guess_layout(outputs: Sequence[Tensor], size: Size, class_count: int | None) -> str | None:
+def guess_layout(outputs: Sequence[Tensor], size: Size, class_count: int) -> str | None:
     """Guess the layout of one image's outputs from shapes and values; None where several fit or none.
 
-    class_count: None where the file does not say.
+    class_count: 0 where nobody says.
     """
     match shapes := [tuple(output.shape) for output in outputs]:
         case [(1, 1, _, 7)]:
@@ -115,7 +112,11 @@ def guess_layout(outputs: Sequence[Tensor], size: Size, class_count: int | None)
         case [(n, 5), (m,)] | [(m,), (n, 5)] if n == m:
             return "boxes-labels"
         case [(_, _, *_, 4), (_, _, _, *_)] | [(_, _, _, *_), (_, _, *_, 4)]:
-            return _guess_of_two(outputs)
+            scores = outputs[1] if outputs[0].shape[-1] == 4 else outputs[0]
+            if scores.shape[1] > MOST_QUERIES or not are_logits(scores):
+                return "boxes-scores"
+            # DETR has a class for "no object": 91 and 1 of COCO's own numbering; RT-DETR has none.
+            return "rtdetr" if scores.shape[-1] == len(COCO) else "detr"
         case [(_, _, height, width)]:
             return "fastestdet" if (16 * height, 16 * width) == tuple(size) else None
     if len(shapes) >= 4 and len({s[1:-1] for s in shapes}) == len(shapes) / 2 and len({s[-1] for s in shapes}) == 2:
@@ -124,15 +125,7 @@ def guess_layout(outputs: Sequence[Tensor], size: Size, class_count: int | None)
     return _guess_of_rows(outputs[0], size, class_count) if len(shapes[0]) == 3 and len(shapes) != 2 else None
 
 
-def _guess_of_two(outputs: Sequence[Tensor]) -> str:
-    scores = outputs[1] if outputs[0].shape[-1] == 4 else outputs[0]
-    if scores.shape[1] > MOST_QUERIES or not are_logits(scores):
-        return "boxes-scores"
-    # DETR has a class for "no object": 91 and 1 of COCO's own numbering; RT-DETR has none.
-    return "rtdetr" if scores.shape[-1] == len(COCO) else "detr"
-
-
-def _guess_of_rows(output: Float[Tensor, "B N C"], size: Size, class_count: int | None) -> str | None:
+def _guess_of_rows(output: Float[Tensor, "B N C"], size: Size, class_count: int) -> str | None:
     _, count, width = output.shape
     if width == 6 and count <= MOST_QUERIES:
         return END_TO_END
@@ -164,10 +157,3 @@ def why_unknown(outputs: Sequence[Tensor], suppresses: str) -> str:
             "yolov3-raw take the usual ones"
         )
     return ""
-
-
-def is_classifier(outputs: Sequence[Tensor]) -> bool:
-    """Tell a network that says one thing of a whole image: a single row of many numbers, no place among them."""
-    shape = outputs[0].shape
-    row = len(shape) >= 2 and shape[0] == 1 and shape[1] > WIDEST_ROW and all(side == 1 for side in shape[2:])
-    return len(outputs) == 1 and row

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import ast
-import dataclasses
 import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cloak_core.detectors.classes import Description, confidence_of, licence_of, names_of, read_description
+from cloak_core.detectors.classes import Description, describe, literal, read_description
 from cloak_core.detectors.onnx_family.layouts import Layout
-from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.specs import check_size
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
@@ -31,7 +28,7 @@ QUANTISED = re.compile(r"(Dynamic)?(Quantize|Dequantize)Linear|QLinear\w+|\w+Int
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NetworkFile:
-    """What a network's file says of itself, for any runtime; None where it does not say."""
+    """A network's file, for any runtime."""
 
     path: Path
     digest: str
@@ -41,18 +38,16 @@ class NetworkFile:
     size: tuple[int, int]
     """(height, width) that it is run at."""
     output_names: tuple[str, ...]
-    names: tuple[str, ...] | None = None
-    """Of its classes."""
-    confidence: float | None = None
-    """The score above which it reports a box."""
-    pixels: PixelFormat | None = None
-    """How it wants its pixels."""
+    said: tuple[Description, ...]
+    """What the file says of itself, then what a JSON file beside it says."""
     layout: tuple[str, Layout] | None = None
     """How its outputs are read, by a name."""
-    described: Description = dataclasses.field(default_factory=Description)
-    """What a JSON file beside it says."""
     suppresses: str = ""
     """Name of a node that suppresses boxes; "" for none."""
+
+    def first(self, what: str) -> Any:
+        """Give a field of `Description` as the first says it who says it; None where nobody does."""
+        return next((value for one in self.said if (value := getattr(one, what)) is not None), None)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,8 +62,6 @@ class ModelFile(NetworkFile):
     """The batch that the file fixes; None where any goes."""
     quantised: tuple[str, ...]
     """Names of its first nodes that compute in integers."""
-    licence: str | None
-    """As the file itself says, or else the JSON file beside it."""
 
 
 def image_input(
@@ -108,8 +101,11 @@ def read_model(path: Path, wanted: tuple[int, int] | None = None) -> ModelFile:
         raise InputError(f"{path}: has {len(inputs)} inputs ({', '.join(i.name for i in inputs)}), not one of images")
     shape = [d.dim_value if d.dim_value > 0 else None for d in inputs[0].type.tensor_type.shape.dim]
     said = {entry.key: entry.value for entry in model.metadata_props}
-    channels_last, size = image_input(shape, wanted, _said_size(said) or (DEFAULT_SIDE, DEFAULT_SIDE), path)
-    described = read_description(path)
+    sides = literal(said.get("imgsz", ""))
+    sides = [sides, sides] if isinstance(sides, int) else sides
+    is_size = isinstance(sides, list) and len(sides) == 2 and all(isinstance(s, int) and s > 0 for s in sides)
+    usual = tuple(sides) if is_size else (DEFAULT_SIDE, DEFAULT_SIDE)
+    channels_last, size = image_input(shape, wanted, usual, path)
     kinds = [(node.op_type, node.name or node.op_type) for node in model.graph.node]
     return ModelFile(
         path=path,
@@ -121,12 +117,9 @@ def read_model(path: Path, wanted: tuple[int, int] | None = None) -> ModelFile:
         channels_last=channels_last,
         batch=shape[0],
         size=size,
-        names=names_of(_literal(said, "names")),
-        confidence=confidence_of(said),
-        described=described,
+        said=(describe(said), read_description(path)),
         quantised=tuple(name for kind, name in kinds if QUANTISED.fullmatch(kind))[:3],
         suppresses=next((name for kind, name in kinds if "NMS" in kind or kind == "NonMaxSuppression"), ""),
-        licence=licence_of(said) or described.licence,
     )
 
 
@@ -203,21 +196,6 @@ def _as_float32(model: onnx.ModelProto, path: Path) -> None:
             except (ValueError, TypeError) as error:
                 raise InputError(f"{path}: its tensor {tensor.name} is damaged ({first_line(error)[:120]})") from None
             tensor.CopyFrom(numpy_helper.from_array(values.astype(np.float32), tensor.name))
-
-
-def _literal(said: dict[str, str], key: str) -> object:
-    """Read a value that ultralytics wrote as Python has it; None where there is none."""
-    try:
-        return ast.literal_eval(said[key])
-    except (KeyError, ValueError, SyntaxError, MemoryError, RecursionError):
-        return None
-
-
-def _said_size(said: dict[str, str]) -> tuple[int, int] | None:
-    sides = _literal(said, "imgsz")
-    sides = [sides, sides] if isinstance(sides, int) else sides
-    whole = isinstance(sides, list) and len(sides) == 2 and all(isinstance(s, int) and s > 0 for s in sides)
-    return tuple(sides) if whole else None
 
 
 MAX_DEPTH = 32

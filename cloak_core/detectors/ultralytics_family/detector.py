@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.detector.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.checkpoints import load_state
 from cloak_core.detectors.classes import COCO, person_index
-from cloak_core.detectors.decoding import Decoded
+from cloak_core.detectors.decoding import Decoded, queries
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request, check_size
@@ -26,7 +26,7 @@ from cloak_core.detectors.ultralytics_family.architecture import (
     settle_batch_norm,
 )
 from cloak_core.detectors.ultralytics_family.checkpoint import Checkpoint, read_checkpoint
-from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, queries
+from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead
 from cloak_core.detectors.ultralytics_family.library import PACKAGE
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
@@ -49,13 +49,16 @@ class UltralyticsDetector(Detector):
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         inputs, placement = fit(images, self.input_size, self.letterbox, YOLO_GREY)
-        found = self.answer(inputs)
-        return found.of_person(self.person, placement)
+        return self.answer(inputs).of_person(self.person, placement)
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
         """Run the network on its own input and decode the outputs."""
         output, head = self.network(inputs), self.network.model[-1]
-        return head.decode(output) if isinstance(head, DenseHead | AnchorHead) else queries(output[1], inputs)
+        if isinstance(head, DenseHead | AnchorHead):
+            return head.decode(output)
+        # RT-DETR's decoder, before its best are chosen: boxes [1, B, Q, 4], logits [1, B, Q, K] and more.
+        boxes, logits = (at_least_float32(part[-1]) for part in output[1][:2])
+        return queries(logits, boxes, inputs.shape[2:], exclusive=False)
 
 
 def load_ultralytics(request: Request) -> UltralyticsDetector:

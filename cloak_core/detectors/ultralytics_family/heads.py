@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import at_least_float32
-from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
+from cloak_core.detectors.decoding import Decoded, cell_places, expected_distances
 from cloak_core.detectors.onnx_family.decoders import RawYolo
 
 Maps = list[tuple[Tensor, Tensor]]
@@ -90,26 +90,12 @@ class AnchorHead(nn.Module):
         return self.raw([at_least_float32(x) for x in maps], size)
 
 
-def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
-    """Decode RT-DETR's decoder before its best are chosen.
-
-    raw: boxes [1, B, Q, 4] (centre and size as fractions of the input), logits [1, B, Q, K] and more.
-    """
-    boxes, logits = (at_least_float32(part[-1]) for part in raw[:2])
-    return Decoded(in_pixels(corners(boxes), inputs.shape[2:]), logits.sigmoid())
-
-
 def rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
     """Flatten a map to one row for each of its cells, at least float32."""
     return at_least_float32(x).flatten(2).transpose(1, 2)
 
 
 def distances(box: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n 4"]:
-    """Compute distances from every cell to the four sides of its box, in cells.
-
-    The mean of a distribution over 0, 1, 2 ..., or the one number given.
-    """
-    sides = rows(box).unflatten(-1, (4, -1))
-    if sides.shape[-1] == 1:
-        return sides.squeeze(-1)
-    return sides.softmax(dim=-1) @ torch.arange(sides.shape[-1], device=sides.device, dtype=sides.dtype)
+    """Compute distances from every cell to the four sides of its box, in cells: four numbers, or distributions."""
+    sides = rows(box)
+    return sides if sides.shape[-1] == 4 else expected_distances(sides)

@@ -193,7 +193,7 @@ class OnnxStudent(Student):
 
     @property
     def licence(self) -> str:
-        said = read_model(self.detector.path).licence
+        said = read_model(self.detector.path).first("licence")
         return said or f"unknown; {self.detector.path.name} does not say, ask those who made it"
 
     def _describe(self, target: Path, facts: dict[str, object]) -> None:
@@ -202,11 +202,11 @@ class OnnxStudent(Student):
         What was measured of the old file is left out.
         """
         file, described = read_model(self.detector.path), self.detector.path.with_suffix(".json")
-        if file.described != Description():
+        if file.said[1] != Description():
             holds = {key: value for key, value in read_json(described).items() if key in UNDERSTOOD}
             write_json(target.with_suffix(".json"), facts | {"made_from": self.spec} | holds)
         names = self.detector.class_names
-        if names and not file.names and not file.described.names:
+        if names and not file.first("names"):
             beside = names_beside(self.detector.path, len(names))
             if beside == names and names not in (COCO, VOC):
                 write_text(target.with_suffix(".names"), "\n".join(names) + "\n")
