@@ -7,28 +7,10 @@ import pytest
 import torch
 
 from cloak_core.core import batches
-from cloak_core.core.batches import Batcher, looks_ahead
+from cloak_core.core.batches import Batcher
 from tests.core.test_training import run
 
 CPU = torch.device("cpu")
-
-
-@pytest.fixture
-def two_cores(monkeypatch):
-    monkeypatch.setattr(batches, "_cores", lambda: 2)
-    monkeypatch.delenv("LOCAL_WORLD_SIZE", raising=False)
-    before = torch.get_num_threads()
-    yield monkeypatch
-    torch.set_num_threads(before)
-
-
-def test_a_batch_is_built_ahead_where_a_core_is_idle(two_cores):
-    torch.set_num_threads(2)
-    assert not looks_ahead(CPU) and looks_ahead(torch.device("cuda"))
-    torch.set_num_threads(1)
-    assert looks_ahead(CPU)
-    two_cores.setenv("LOCAL_WORLD_SIZE", "2")  # torchrun: two processes of one thread each
-    assert not looks_ahead(CPU)
 
 
 @pytest.mark.slow

@@ -89,18 +89,6 @@ def test_a_search_that_broke_after_a_round_does_not_count_it_twice(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_search_leaves_what_every_training_leaves(tmp_path):
-    run(tmp_path / "run", [Asked()], **HOW | {"black_box_queries": 68, "checkpoint_every": 4, "preview_every": 4})
-    events = read_events(tmp_path / "run" / "events.jsonl")
-    assert [event["step"] for event in events if event["type"] == "checkpoint"] == [4, 8]
-    assert sorted(path.name for path in (tmp_path / "run" / "previews").iterdir()) == [
-        "step-00000004.png",
-        "step-00000008.png",
-    ]
-    assert all(event["lr"] == 0.02 for event in events if event["type"] == "step")
-
-
-@pytest.mark.slow
 def test_every_detectors_images_count_and_a_start_is_taken(tmp_path):
     first = run(tmp_path / "first", [TinyDetector()], steps=1, preview_every=0)
     result = run(tmp_path / "run", [Asked(), TinyDetector()], black_box_queries=24, init=str(tmp_path / "first"), **HOW)
@@ -108,11 +96,6 @@ def test_every_detectors_images_count_and_a_start_is_taken(tmp_path):
     assert 0 < np.abs(result.colors - first.colors).max() <= 0.1  # a single step from there
     with pytest.raises(InputError, match="fewer than the 24"):
         steps_within(tiny_settings(black_box_queries=23, batch=4), 2)
-
-
-def test_without_gradients_training_points_to_the_search(tmp_path):
-    with pytest.raises(InputError, match="--black-box-queries"):
-        run(tmp_path / "run", [Asked()])
 
 
 class Blue(Detector):

@@ -66,11 +66,6 @@ def test_boxes_move_with_the_images(window):
     assert (distortion.boxes(box, 80, 60)[0] - torch.tensor(expected)).abs().max() <= 0.75
 
 
-def test_boxes_are_clipped_to_the_image():
-    shifted = Distortion(torch.tensor([[0.5, 0.5, 0.0]]))
-    assert shifted.boxes(torch.tensor([[0.0, 20.0, 50.0, 60.0]]), 80, 80).tolist() == [[0, 0, 20, 80]]
-
-
 def test_a_window_crops_or_leaves_a_margin():
     images = smooth_images(2)
     crop = torch.tensor([[0.5, 0.5, -0.5]]).expand(2, 3)  # the upper right quarter

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.detector.protocol import Detections, join_detections
+from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.ensemble import Ensemble, sureness
 from cloak_core.core.losses import person_loss
 from cloak_core.core.objective import Objective
-from cloak_core.files.errors import InputError
 from cloak_core.patterns.faces import FacePattern
 from tests.core.fakes import RenamingDetector, TinyDetector, box_bodies, front_logo, tiny_settings
 from tests.core.test_training import run
@@ -120,11 +119,6 @@ def test_a_subset_per_step_is_drawn_from_seed_and_step(tmp_path):
     assert np.array_equal(run(tmp_path / "part", detectors, resume=True, **chosen).colors, whole.colors)
 
 
-def test_a_subset_is_at_most_the_whole_ensemble():
-    few = objective([TinyDetector(seed) for seed in range(2)], detectors_per_step=3)
-    assert few.ensemble.asked(5) == [0, 1]
-
-
 def test_subsets_stand_for_the_whole_ensemble():
     detectors = [TinyDetector(seed) for seed in range(3)]
     full = objective(detectors).forward_backward(IMAGES)
@@ -133,31 +127,6 @@ def test_subsets_stand_for_the_whole_ensemble():
     assert len(first) == 3
     mean = torch.stack([part.forward_backward(IMAGES, step).gradient for step in first.values()]).mean(dim=0)
     torch.testing.assert_close(mean, full.gradient, rtol=1e-4, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"detector_weights": "1,1"}, "--detector-weights 1,1: this version has no such option"),
-        ({"rpn_weight": 0.5}, "--rpn-weight 0.5: this version has no such option"),
-        ({"detectors_per_step": 0}, "--detectors-per-step: 0 is not in"),
-        ({"microbatch": 0}, "--microbatch: 0 is not in"),
-        ({"ensemble": "min"}, "--ensemble: 'min' is not one of mean, adaptive"),
-    ],
-)
-def test_what_does_not_fit_is_refused_before_a_run_begins(changes, message, tmp_path):
-    with pytest.raises(InputError, match=message):
-        run(tmp_path / "run", [TinyDetector(), TinyDetector(1)], **changes)
-    assert not (tmp_path / "run").exists()
-
-
-def test_join_detections_pads():
-    one = Detections(torch.ones(2, 3, 4), torch.ones(2, 3), other=torch.ones(2, 3))
-    two = Detections(torch.ones(1, 5, 4), torch.ones(1, 5), other=torch.ones(1, 5))
-    joined = join_detections([one, two])
-    assert joined.boxes.shape == (3, 5, 4) and joined.scores.sum(dim=1).tolist() == [3, 3, 5]
-    assert joined.boxes[0, 3:].abs().sum() == 0 and joined.objectness is None
-    assert joined.other is not None and joined.other.shape == (3, 5)
 
 
 @pytest.mark.slow

@@ -15,15 +15,6 @@ def path(tmp_path):
     return log.path
 
 
-def test_events_come_back_in_order_and_are_told(tmp_path):
-    heard = []
-    log = EventLog(tmp_path / "events.jsonl", heard.append)
-    log.write({"type": "a", "step": 1})
-    log.write({"type": "b", "step": 2})
-    assert read_events(log.path) == heard == [{"type": "a", "step": 1}, {"type": "b", "step": 2}]
-    log.close()
-
-
 def test_a_torn_last_line_and_rubbish_are_skipped(path):
     with path.open("ab") as file:
         file.write(b'[1, 2]\n\xff\xfe\n\n{"type": "st')
@@ -41,21 +32,11 @@ def test_rewinding_drops_what_a_resumed_run_will_do_again(path):
     assert read_events(path)[-1]["step"] == 4
 
 
-def test_rewinding_nothing(tmp_path):
-    rewind_events(tmp_path / "events.jsonl", 3)
-    assert read_events(tmp_path / "events.jsonl") == []
-
-
 def test_not_a_number_is_never_written(path):
     log = EventLog(path)
     with pytest.raises(ValueError):
         log.write({"type": "step", "loss": float("nan")})
     log.close()
-
-
-def test_no_such_file(tmp_path):
-    with pytest.raises(InputError, match="none"):
-        read_events(tmp_path / "none")
 
 
 def test_a_log_of_absurd_size_is_not_read(tmp_path):

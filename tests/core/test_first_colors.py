@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from cloak_core.core.geometry import face_centres, face_normals
-from cloak_core.core.logo import load_logo, make_logo
+from cloak_core.core.logo import load_logo
 from cloak_core.core.prints import print_picture
 from cloak_core.core.settings import make_settings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors
-from tests.sources.bodies.solids import cube
+from cloak_core.studies.trainings.first_colors import DARK, animal_face, first_colors
 
 
 @pytest.fixture(scope="module")
@@ -46,15 +45,6 @@ def test_the_animal_looks_out_of_chest_and_back(samples: Bodies) -> None:
         assert abs(centres[left, 1].mean() - centres[right, 1].mean()) < 0.01 * tall
         assert centres[dark, 1].min() > centres[:, 1].min() + 0.3 * tall, "on the trunk, not on the legs"
     assert (colors == 0.5).all(1).mean() > 0.3, "arms and legs begin grey"
-
-
-def test_a_small_logo_gets_a_small_animal_and_a_flat_one_none(samples: Bodies) -> None:
-    chest = load_logo(samples, "chest")
-    colors = animal_face(samples, chest)
-    assert (colors == np.float32(DARK)).all(1).any() and (colors == np.float32(FUR)).all(1).any()
-    side = make_logo(cube(), [1])
-    assert (animal_face(cube(), side) == 0.5).all()
-    assert np.isfinite(animal_face(cube(), make_logo(cube(), [0, 1, 4, 5]))).all()
 
 
 def test_a_cloth_begins_with_a_print_as_sharp_as_its_squares(samples: Bodies) -> None:

@@ -94,14 +94,6 @@ def test_a_state_that_does_not_fit_is_refused(change):
         optimizer.load(state)
 
 
-def test_foreign_state_is_refused():
-    optimizer = ColorOptimizer(make_settings("best").optimization, torch.full((4, 3), 0.5))
-    with pytest.raises(ValueError, match="3 colours instead of 4"):
-        optimizer.load({"parameter": torch.zeros(3, 3)})
-    with pytest.raises(KeyError):
-        optimizer.load({})
-
-
 def _pushed(optimizer: ColorOptimizer, gradient: torch.Tensor, lr: float = 0.1) -> torch.Tensor:
     optimizer.clear()
     (optimizer.colors() * gradient).sum().backward()

@@ -85,14 +85,6 @@ def test_the_share_of_renders_is_kept():
     assert abs(shown.mean() - 0.25) < 0.06
 
 
-def test_without_people_nothing_is_drawn_otherwise():
-    bare = Sampler(settings(), BodyPlan(settings().views, 3, 2), 5)
-    one, other = bare.draw(1), people_sampler(4, poses=3, outfits=2).draw(1)
-    assert "person" not in one.shown
-    assert all(np.array_equal(column, other.shown[name]) for name, column in one.shown.items())
-    assert np.array_equal(one.seed, other.seed) and np.array_equal(one.shift, other.shift)
-
-
 def test_a_framing_keeps_most_of_the_person(fits):
     for seed in range(50):
         framing = draw_framing(np.random.default_rng(seed), fits[0], 64)
@@ -108,15 +100,6 @@ def test_views_depend_on_person_and_seed_alone(fits):
     assert one.box == same.box != other.box and one.stream == same.stream
     values = torch.rand(one.map.width, 3)
     assert torch.equal(one.map.apply(values), same.map.apply(values))
-
-
-def test_training_on_photographs_alone_lowers_the_loss(tmp_path, fits):
-    result = run(tmp_path / "run", fits, steps=12, lr=0.2, contrast="1", brightness="0", noise=0)
-    assert np.abs(result.colors - 0.5).mean() > 0.05
-
-
-def test_photographs_and_renders_go_together(tmp_path, fits):
-    assert run(tmp_path / "run", fits, people_share=0.5).step == 4
 
 
 def test_a_resumed_run_ends_with_the_same_bits(tmp_path, fits):

@@ -49,20 +49,3 @@ def test_a_deep_picture_keeps_its_orientation(tmp_path: Path) -> None:
     exif[ORIENTATION] = 6
     path = saved(tmp_path, "16.png", exif=exif)
     assert read_image(path).shape == (3, 8, 5)
-
-
-def test_another_packages_open_in_pillows_place_changes_no_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pillows = Image.open
-
-    def opens(*arguments: object, **options: object) -> Image.Image:
-        try:
-            return pillows(*arguments, **options)
-        except Image.UnidentifiedImageError:
-            raise ModuleNotFoundError("No module named 'pi_heif'") from None
-
-    monkeypatch.setattr(Image, "open", opens)
-    (tmp_path / "p.jpg").write_bytes(b"no picture")
-    with pytest.raises(InputError, match=r"p\.jpg: not a readable picture \(none of JPEG"):
-        read_picture(tmp_path / "p.jpg")

@@ -78,11 +78,6 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path):
 
 
 @pytest.mark.slow
-def test_resuming_what_does_not_exist_starts_it(tmp_path):
-    assert np.array_equal(run(tmp_path / "a", resume=True).colors, run(tmp_path / "b").colors)
-
-
-@pytest.mark.slow
 def test_a_damaged_checkpoint_costs_its_steps_only(tmp_path):
     whole = run(tmp_path / "whole", steps=7)
     run(tmp_path / "run", steps=7)
@@ -102,19 +97,6 @@ def test_resuming_with_anything_else_is_refused_by_name(tmp_path):
     with pytest.raises(InputError, match="detectors"):
         run(tmp_path / "run", [TinyDetector(1)], resume=True)
     run(tmp_path / "run", resume=True, checkpoint_every=5)
-
-
-@pytest.mark.slow
-def test_a_run_of_an_earlier_version_resumes_with_the_defaults(tmp_path):
-    done = run(tmp_path / "run")
-    record = json.loads((tmp_path / "run" / "config.json").read_text())
-    for name in ("blur", "nps_weight"):
-        del record["settings"][name]
-    del record["palette"]
-    (tmp_path / "run" / "config.json").write_text(json.dumps(record))
-    assert np.array_equal(run(tmp_path / "run", resume=True).colors, done.colors)
-    with pytest.raises(InputError, match=r"settings\.blur = 0\.0, not 0\.2"):
-        run(tmp_path / "run", resume=True, blur=0.2)
 
 
 def test_a_run_that_appears_meanwhile_is_gone_on_with(tmp_path, monkeypatch):

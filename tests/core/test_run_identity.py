@@ -2,7 +2,6 @@
 
 import json
 import logging
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.trainings import run_record
-from tests.core.fakes import TinyDetector, box_bodies
+from tests.core.fakes import TinyDetector
 from tests.core.test_training import run as box_run
 from tests.detectors.helpers import TINY_CFG, write_tiny
 
@@ -152,13 +151,3 @@ def test_other_code_and_packages_are_said_and_not_refused(
         assert word in line
     changes = [event["changes"] for event in read_events(path / "events.jsonl") if "changes" in event]
     assert len(changes) == 1 and len(changes[0]) == 3
-
-
-def test_bodies_of_other_texture_coordinates_are_others(tmp_path: Path) -> None:
-    bodies, detector = box_bodies(), load_detector(write_tiny(tmp_path))
-    uv = np.random.default_rng(0).uniform(0, 1, (bodies.vertex_count, 2))
-    skin = {"skin": np.random.default_rng(1).integers(0, 255, (8, 8, 3)).astype(np.uint8)}
-    worn = replace(bodies, uv=uv, triangle_uv=bodies.triangles, textures=skin, outfit_textures=("skin", ""))
-    run(tmp_path / "run", detector, bodies=worn)
-    with pytest.raises(InputError, match=r"scene\.identity"):
-        run(tmp_path / "run", detector, bodies=replace(worn, uv=worn.uv / 2))

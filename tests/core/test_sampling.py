@@ -77,11 +77,6 @@ def test_ranges_are_kept_and_used():
     assert of.source.is_fresh and not sampler().source.is_fresh
 
 
-def test_one_translation_per_batch():
-    shift = sampler(steps=5, translation_per="batch").draw(3).shift
-    assert (shift == shift[0]).all() and shift.any()
-
-
 def test_the_first_outfit_alone():
     settings = make_settings("paper", steps=20, outfits="first")
     assert not whole_run(Sampler(settings, BodyPlan(settings.views, 3, 4), 7)).shown["outfit"].any()

@@ -16,7 +16,6 @@ from cloak_core.core.settings import (
     settings_from_record,
     settings_record,
 )
-from cloak_core.core.settings.components import RunSettings
 from cloak_core.core.settings.retired import RETIRED
 from cloak_core.core.settings.values import Angles, Azimuths, Range
 from cloak_core.files.errors import InputError
@@ -56,13 +55,6 @@ def test_ranges():
             Range.parse(spec)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_presets_are_valid_and_survive_json(preset):
-    settings = make_settings(preset)
-    assert settings.preset == preset
-    assert settings_from_record(settings_record(settings)) == settings
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -81,36 +73,6 @@ def test_bad_values_are_refused_by_name(name, value):
     length = {} if name == "epochs" else {"epochs": None, "steps": 10}
     with pytest.raises(InputError, match="--" + name.replace("_", "-")):
         settings_from_record(length | {name: value})
-
-
-def test_impossible_combinations():
-    with pytest.raises(InputError, match="--steps and --epochs"):
-        TrainSettings(run=RunSettings(epochs=1.0, steps=1))
-    with pytest.raises(InputError, match="--steps and --epochs"):
-        TrainSettings(run=RunSettings(epochs=None))
-    with pytest.raises(InputError, match="--steps and --epochs"):
-        make_settings("paper", steps=5, epochs=2)
-    with pytest.raises(InputError, match="--momentum"):
-        make_settings("best", momentum=0.9)
-    with pytest.raises(InputError, match="--colour: no such setting"):
-        make_settings("best", colour=1)
-    with pytest.raises(InputError, match="--preset"):
-        make_settings("worst")
-
-
-def test_an_epoch_is_every_background_at_every_angle():
-    settings = make_settings("paper", epochs=3, batch=4, angles="-10:10:5")
-    assert settings.epoch_images(7) == 35
-    assert settings.total_steps(7) == math.ceil(3 * 35 / 4)
-    assert make_settings("paper", steps=11).total_steps(7) == 11
-
-
-def test_whole_numbers_are_taken_where_numbers_are_meant():
-    settings = make_settings("best", lr=1, angles=0, distance=2, batch=4.0)
-    assert settings.optimization.lr == 1.0 and isinstance(settings.optimization.lr, float)
-    assert (
-        settings.views.angles.starts == (0,) and settings.views.distance == Range(2.0, 2.0) and settings.run.batch == 4
-    )
 
 
 def test_ranges_of_azimuths():
@@ -141,15 +103,6 @@ def test_a_retired_option_is_read_when_off_and_refused_in_one_line_when_on(name,
 def test_train_has_at_most_72_settings_and_none_that_is_retired():
     names = settings_record(make_settings("best")).keys() - {"preset"}
     assert len(names) <= 72 and not names & RETIRED.keys()
-
-
-def test_what_distorts_is_off_in_the_papers_presets_and_bounded():
-    for preset in ("paper", "reference"):
-        record = settings_record(make_settings(preset))
-        assert [record[name] for name in ("blur", "crop", "pad", "cutout", "shake")] == [0, 0, 0, 0, 0]
-    for bad in ({"blur": 3}, {"crop": 1}, {"elevation": "95"}, {"elevation": "10:5"}):
-        with pytest.raises(InputError, match="--" + next(iter(bad)).replace("_", "-")):
-            make_settings("best", **bad)
 
 
 finite = st.floats(-300, 300, allow_nan=False).map(lambda x: round(x, 6) + 0.0)

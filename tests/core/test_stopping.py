@@ -25,14 +25,6 @@ def test_a_signal_asks_once_and_then_acts(tmp_path, number):
         signal.signal(number, before)
 
 
-def test_file_and_budget(tmp_path):
-    with stop_request(tmp_path / "cancel", 10.0) as stop:
-        assert stop.reason(9.9) == ""
-        assert stop.reason(10.0) == "time budget"
-        (tmp_path / "cancel").touch()
-        assert stop.reason(0.0) == "cancel file"
-
-
 def test_other_threads_leave_the_handlers_alone(tmp_path):
     before = signal.getsignal(signal.SIGTERM)
     seen = []

@@ -2,18 +2,15 @@
 
 import contextlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from bodies_made import sphere
 
-import cloak_core
 from cloak_core.bench.oracle import screen_of
 from cloak_core.core.cameras import Camera
 from cloak_core.core.logo import Cover
-from cloak_core.core.visibility.backend import backend
 from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.core.visibility.rasterizer import rasterize
 from cloak_core.core.visibility.screen import GRID, GUARD
@@ -131,22 +128,3 @@ def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
             theirs = rasterize(screen, triangles, grid, torch.tensor([cull]))
         assert torch.equal(ours.packed, theirs.packed)
         assert (ours.triangles() >= 0).any()
-
-
-def test_a_device_chooses_in_one_place() -> None:
-    """Beside the backend only total variation, maps, the sampler of a cloth and photographs' kernels ask."""
-    room = Path(cloak_core.__file__).parent
-    asking = {path for path in room.rglob("*.py") if "use_loops(" in path.read_text(encoding="utf-8")}
-    rendering = {f"core/visibility/{name}.py" for name in ("compiled", "backend")}
-    others = {"core/losses.py", "core/linear.py", "patterns/footprint.py", "sources/photographs/resampling.py"}
-    assert {path.relative_to(room).as_posix() for path in asking} == rendering | others
-
-
-def test_both_backends_have_the_same_stages() -> None:
-    with torch_alone():
-        plain = backend(torch.device("cpu"))
-    stages = [
-        {name for name, value in vars(room).items() if callable(value)}
-        for room in (backend(torch.device("cpu")), plain)
-    ]
-    assert stages[0] == stages[1] and len(stages[0]) == 5

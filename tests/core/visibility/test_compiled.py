@@ -1,9 +1,6 @@
 """Loops are compiled whether or not there is a place to keep what the compiler made."""
 
-from types import SimpleNamespace
-
-import pytest
-from numba.core import caching, event
+from numba.core import caching
 
 from cloak_core.core.visibility import compiled
 from cloak_core.core.visibility.compiled import loop
@@ -33,22 +30,3 @@ def test_kept_loops_are_stale_when_a_file_that_they_call_changes(tmp_path, monke
     compiled._source_stamp.cache_clear()
     assert loop(doubled)._cache._cache_file._source_stamp != before
     compiled._source_stamp.cache_clear()
-
-
-@pytest.mark.parametrize(("folder", "often"), [("/somewhere", "once after installation"), (None, "at every start")])
-def test_that_loops_are_being_compiled_is_said_once(folder, often, monkeypatch, caplog) -> None:
-    monkeypatch.setattr(compiled._saying, "has_said", False)
-
-    def compiling(module: str) -> None:
-        dispatcher = SimpleNamespace(
-            py_func=SimpleNamespace(__module__=module), stats=SimpleNamespace(cache_path=folder)
-        )
-        with event.trigger_event("numba:compile", data={"dispatcher": dispatcher}):
-            pass
-
-    compiling("somebody.elses")
-    assert not caplog.records
-    for _ in range(2):
-        compiling("cloak_core.core.visibility")
-    (record,) = caplog.records
-    assert "compiling the loops that draw, " + often in record.getMessage()

@@ -53,13 +53,6 @@ def test_images_equal_a_plain_rendering(views, shifts, count: int) -> None:
         np.testing.assert_allclose(images[i].numpy(), expected, atol=2e-6)
 
 
-def test_the_background_is_left_as_it_was(views) -> None:
-    colors, backgrounds = scene()
-    before = backgrounds.clone()
-    compose(views, colors, backgrounds)
-    assert torch.equal(backgrounds, before)
-
-
 @pytest.mark.parametrize("count", [1, 3])
 def test_gradient_equals_differences(views, count: int) -> None:
     """Sums stay within (0, 1) here, so that the image is linear and differences are exact up to rounding."""
@@ -107,17 +100,6 @@ def test_true_boxes_move_and_are_clipped(views) -> None:
     assert boxes[0] == [x0, y0, x1, y1]
     assert boxes[1] == [x0 + 5, max(y0 - 3, 0), min(x1 + 5, 40), y1 - 3]
     assert boxes[2][0] == boxes[2][2] == 40
-
-
-def test_a_view_without_logo_or_body_renders_the_background() -> None:
-    cache = ViewCache(sphere(), RenderSettings(samples=1))
-    away = dataclasses.replace(CAMERA, pivot=(90.0, 0.0, 0.0))
-    colors = torch.rand(len(LOGO), 3, requires_grad=True)
-    background = torch.rand(1, 3, 30, 40)
-    image = compose([cache.bake(0, away, LOGO)], colors, background)
-    assert torch.equal(image, background)
-    image.sum().backward()
-    assert (colors.grad == 0).all()
 
 
 def test_mismatched_inputs_are_refused(views) -> None:

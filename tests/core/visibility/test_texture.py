@@ -10,7 +10,7 @@ from bodies_made import sphere
 from cloak_core.core.cameras import Camera
 from cloak_core.core.paint import compose
 from cloak_core.core.visibility.settings import Light, RenderSettings
-from cloak_core.core.visibility.texture import look_up, texture_coordinates
+from cloak_core.core.visibility.texture import look_up
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
 from cloak_core.sources.bodies.meshes.textures import dress_in_textures
@@ -117,10 +117,3 @@ def test_look_up_is_linear_between_texels_and_repeats() -> None:
     seen = look_up(picture, uv)
     expected = [[0, 0, 0], [0.5, 0, 0], [1, 1, 0], [0, 0, 0], [0.5, 0.5, 0]]
     assert torch.allclose(seen, torch.tensor(expected))
-
-
-def test_points_outside_are_moved_into_their_triangle() -> None:
-    corners = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]).unsqueeze(2).expand(2, 3, 2)
-    uv = texture_coordinates(corners, torch.tensor([0.25, -0.5]), torch.tensor([0.5, 0.5]))
-    assert torch.allclose(uv, torch.tensor([[0.25, 0.0], [0.5, 1 / 3]]), atol=0.02)
-    assert uv.min() > 0

@@ -109,13 +109,6 @@ def test_memory_is_bounded_and_the_latest_stay() -> None:
     assert cache.view(0, cameras[-1]) is cache.view(0, cameras[-1])
 
 
-def test_a_baked_view_is_kept_for_its_outfit() -> None:
-    cache, logo = ViewCache(sphere(), RenderSettings(samples=4)), np.arange(30, 70)
-    baked = cache.bake(0, CAMERA, logo, outfit=1)
-    assert cache.bake(0, CAMERA, logo, outfit=1) is baked
-    assert cache.bake(0, CAMERA, logo, outfit=0) is not baked
-
-
 def test_light_never_gives_nan() -> None:
     zero, point = torch.zeros(3, 2), torch.tensor([[0.0, 0], [0, 0], [1, 0]])
     for light_position in (zero, point):
