@@ -45,15 +45,6 @@ def test_each_face_finds_its_colour_in_the_image():
     assert np.abs(colors.own_face_colors(obj) - trained).max() < 1.01 / 255  # it shows what was baked
 
 
-def test_texels_are_shared_out_exactly():
-    places = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]], [[0, 0], [0.5, 0], [0, 0.5]]], np.float32)
-    face = bake.rasterize(places[:2], np.array([0, 1]), 8)
-    row, column = np.mgrid[:8, :8]
-    assert (face[column > row] == 0).all() and (face[column < row] == 1).all()
-    assert (face >= 0).all() and (bake.rasterize(places[2:], np.array([7]), 8) == 7).sum() == 10
-    assert (bake.rasterize(places + 5, np.array([0, 1, 2]), 8) < 0).all()
-
-
 def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
     obj, trained = dressed_egg()
     bpy.ops.cloak.bake(size=256)

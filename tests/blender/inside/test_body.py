@@ -73,17 +73,6 @@ def count_by_corners(obj) -> dict[int, int]:
     return dict(zip(totals.tolist(), counts.tolist(), strict=True))
 
 
-def test_triangles_split_in_four():
-    obj = make_egg(8)
-    body.subdivide(obj)
-    before = len(obj.data.polygons)
-    assert count_by_corners(obj) == {3: before}
-    body.subdivide(obj)
-    assert count_by_corners(obj) == {3: 4 * before}
-    body.subdivide(obj, triangulate=False)
-    assert count_by_corners(obj) == {3: 16 * before}
-
-
 def test_quads_and_ngons_split_as_simple_subdivision_does():
     obj = make_egg(8)
     add_ngons(obj)

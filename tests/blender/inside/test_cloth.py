@@ -19,7 +19,6 @@ from cloak.training.run_list import read_state
 from cloths_made import METRES, SQUARES, cloth_run, random_squares, save_picture, wall
 from made import make_egg, set_mode
 from test_colors import made_run
-from test_marks import users_colors
 
 
 def test_the_logo_shows_the_picture_and_the_rest_its_own_material(clothed):
@@ -91,19 +90,6 @@ def test_a_picture_goes_onto_bodies_whose_modifiers_make_faces(tmp_path, modifie
     bpy.ops.cloak.cloth_picture(filepath=str(tmp_path / "print.png"), width=METRES)
     assert colors.worn_cloth(obj.data)[1].sum() == 50
     assert np.abs(colors.written_colors(obj)[:50] - 0.2).max() < 1.01 / 255
-
-
-def test_a_map_of_the_users_stays_the_active_one(tmp_path):
-    obj = make_egg()
-    layer = obj.data.uv_layers.new(name="cloak.cloth")
-    layer.uv.foreach_set("vector", np.full(2 * len(obj.data.loops), 0.25, np.float32))
-    users_colors(obj, "mine")
-    runs.import_colors(bpy.context, obj, cloth_run(tmp_path, obj, np.arange(9), random_squares()))
-    assert [layer.name for layer in obj.data.uv_layers] == ["cloak.cloth", "cloak.cloth.001"]
-    assert obj.data.uv_layers.active.name == "cloak.cloth"
-    colors.undress(obj)
-    assert [layer.name for layer in obj.data.uv_layers] == ["cloak.cloth"] and "mine" in obj.data.color_attributes
-    assert np.allclose(mesh_arrays.read(obj.data.uv_layers[0].uv, "vector", 2), 0.25)
 
 
 def test_the_cloth_is_saved_with_the_file_and_comes_off_after(clothed, tmp_path):
@@ -251,13 +237,3 @@ def test_a_cloth_is_laid_as_large_as_it_is_printed(library):
     assert obj.data.uv_layers.active.name == "UVMap", "the user's own"
     (node,) = (n for n in obj.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeUVMap")
     assert node.uv_map == "cloak.ready_cloth"
-
-
-def test_a_map_of_the_users_for_ready_cloths_is_left_alone(library):
-    obj = wall(0.5)
-    obj.data.uv_layers.new(name="cloak.ready_cloth").uv.foreach_set("vector", np.full(72, 0.25, np.float32))
-    obj.data.materials.append(take(library, "print-dots"))
-    bpy.ops.cloak.lay_cloth()
-    (node,) = (n for n in obj.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeUVMap")
-    assert node.uv_map == "cloak.ready_cloth.001"
-    assert np.allclose(mesh_arrays.read(obj.data.uv_layers["cloak.ready_cloth"].uv, "vector", 2), 0.25)

@@ -1,8 +1,6 @@
 """A cloth in renders, baked images, GLB files and pictures for detectors: as fine as it is printed."""
 
-import json
 import os
-import struct
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -10,19 +8,16 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, faces, mesh_arrays, pictures
+from cloak.blender import faces, mesh_arrays, pictures
 from cloak.body.samples import ASSETS
 from cloak.exchange.cloth import corner_uv
 from cloak.exchange.scenes import read_scene
 from cloak.poses.export import export
 from cloak.poses.poses import PoseChoice
-from cloak.result import bake, eye, render_check
-from cloak.session import session
+from cloak.result import bake, render_check
 from cloak.training import runs
 from cloths_made import METRES, SQUARES, cloth_run, random_squares, seen_pixels, wall, wanted_at
-from conftest import MODULE, ROOT, elsewhere, run_job
-from made import add_camera
-from test_eye import asked, watch
+from conftest import ROOT, run_job
 
 
 def test_a_render_shows_the_square_that_the_trainer_sees(tmp_path):
@@ -119,37 +114,6 @@ def test_baked_texels_are_the_cloths(tmp_path, own_map):
         assert (np.abs(pixels[..., :3] - wanted_at(*np.meshgrid(place, place), squares)).max(-1) < 0.002).mean() > 0.99
 
 
-def test_a_glb_has_the_picture_itself_on_a_map_that_repeats(clothed, tmp_path):
-    squares = clothed[2]
-    bpy.ops.cloak.export_glb(filepath=str(tmp_path / "body.glb"), size=256)
-    assert [m.name for m in bpy.data.materials if colors.is_cloak(m)] == ["Cloak as Detectors Saw"]
-    data = (tmp_path / "body.glb").read_bytes()
-    (length,) = struct.unpack("<I", data[12:16])
-    told = json.loads(data[20 : 20 + length])
-    samplers = [told["samplers"][t["sampler"]] for t in told["textures"]]
-    assert any(s["magFilter"] == 9728 and s.get("wrapS", 10497) == s.get("wrapT", 10497) == 10497 for s in samplers)
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    bpy.ops.import_scene.gltf(filepath=str(tmp_path / "body.glb"))
-    (image,) = (i for i in bpy.data.images if tuple(i.size) == (SQUARES, SQUARES))
-    assert np.abs(pictures.image_pixels(image)[::-1, :, :3] - squares).max() < 1e-6
-    (mesh,) = (o.data for o in bpy.data.objects if o.type == "MESH")
-    uv = [mesh_arrays.read(layer.uv, "vector", 2) for layer in mesh.uv_layers]
-    assert max(np.ptp(places[:, 1]) for places in uv) > 1.8 / METRES - 0.1, "metres of body over metres of cloth"
-
-
-def test_the_second_blender_of_render_check_shows_the_cloth(clothed, tmp_path):
-    obj = clothed[0]
-    plan = render_check.Plan(obj.name, tmp_path / "check", (0,), samples=1)
-    plan.folder.mkdir()
-    render_check.prepare(plan)
-    code = (f"from {MODULE}.result import render_check", f"render_check.run_plan({str(plan.folder / 'plan.json')!r})")
-    done = elsewhere(tmp_path, *code)
-    cloak, own = (seen_pixels(path) for path in render_check.image_paths(plan))
-    assert done.returncode == 0, done.stderr
-    shown = np.abs(cloak - own).max(-1) > 0.1
-    assert shown.mean() > 0.02 and cloak[shown].std(0).min() > 0.1, "more than the grey mean of the faces"
-
-
 @pytest.fixture
 def turned(clothed) -> bpy.types.Object:
     """A body in a cloth that was trained on it, turned since."""
@@ -181,20 +145,3 @@ def test_frames_and_films_wear_the_cloth_as_it_lay_in_training(stub, turned):
     assert run_job().state == "done" and lies_as_in_training(folder / "evaluation scene", obj)
     bpy.ops.cloak.turntable()
     assert run_job().state == "done" and lies_as_in_training(folder / "turntable scene", obj)
-
-
-def test_the_eye_asks_for_the_cloth_in_the_pose_of_the_training(stub, turned):
-    obj = turned
-    bpy.context.scene.cloak.judging.eye_from = "CAMERA"
-    add_camera((0, -3, 0.9))
-    bpy.ops.cloak.eye()
-    try:
-        watch(lambda: session.eye.seen is not None)
-        assert asked()["cloth"] == str(runs.run_of(obj))
-        assert lies_as_in_training(Path(bpy.app.tempdir, "cloak eye", "scene"), obj)
-        (runs.run_of(obj) / "cloth.png").unlink()
-        obj.location.z = 0.25
-        bpy.context.view_layer.update()
-        watch(lambda: "cloth" not in asked())
-    finally:
-        eye.close_eye()

@@ -124,13 +124,6 @@ def test_toggle_returns_the_original_materials(tmp_path):
     assert colors.is_dressed(obj)
 
 
-def test_a_body_without_materials_stays_plain_beside_its_logo(tmp_path):
-    obj = make_egg()
-    runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, [7], np.float32([[0, 0, 1]])))
-    assert obj.material_slots[0].material is None and obj.data.polygons[7].material_index == 1
-    assert np.allclose(colors.own_face_colors(obj), 0.5)  # the cloak is not part of the body's own colours
-
-
 def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     obj, run = dressed_body(tmp_path)
     body.subdivide(obj)
@@ -181,17 +174,3 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
         live.update(bpy.context)
     bpy.data.objects.remove(obj)
     assert not live.update(bpy.context)
-
-
-def test_each_viewport_gets_back_what_it_showed_and_no_other_is_touched(monkeypatch):
-    obj = make_egg()
-    colors.write_face_colors(obj, "colors", np.zeros((len(obj.data.polygons), 3)))
-    shadings = [SimpleNamespace(color_type=kind) for kind in ("MATERIAL", "OBJECT", "VERTEX", "RANDOM")]
-    spaces = [SimpleNamespace(shading=s, as_pointer=lambda number=number: number) for number, s in enumerate(shadings)]
-    shown = [(None, SimpleNamespace(spaces=SimpleNamespace(active=space))) for space in spaces]
-    monkeypatch.setattr(colors, "areas", lambda kind: shown)
-    colors.show_attribute(obj, "colors")
-    assert [shading.color_type for shading in shadings] == ["VERTEX"] * 4
-    shadings[3].color_type = "TEXTURE"  # the user's choice since then
-    colors.show_attribute(obj)
-    assert [shading.color_type for shading in shadings] == ["MATERIAL", "OBJECT", "VERTEX", "TEXTURE"]

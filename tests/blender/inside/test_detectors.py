@@ -8,12 +8,8 @@ import bpy
 import pytest
 from cloak.files.errors import InputError
 from cloak.properties import train_options
-from cloak.result import eye
-from cloak.session import session
 from cloak.training import detectors, operators, panel
-from conftest import drawn, folder_of, run_job, wait_for
-from made import add_camera
-from test_eye import watch
+from conftest import drawn, folder_of, run_job
 
 
 @pytest.fixture
@@ -72,34 +68,6 @@ def test_adding_and_removing_detectors_are_steps_of_undo(ready, files):
     assert len(settings().detectors) == 2
     bpy.ops.ed.undo()
     assert len(settings().detectors) == 1
-
-
-def test_a_cancelled_check_leaves_no_verdict_and_can_be_repeated(ready, files, monkeypatch):
-    settings = bpy.context.scene.cloak
-    add(files[".onnx"])
-    assert session.job.describe() == "Detector check: preparing..."
-    bpy.ops.cloak.train_cancel()
-    assert run_job().state == "stopped"
-    onnx = settings.detectors[0]
-    assert (onnx.checked, onnx.answer) == ("", ""), "so that the panel offers Check again"
-    bpy.ops.cloak.detector_check()
-    run_job()
-    assert onnx.works and onnx.answer.startswith("works")
-
-
-def test_a_check_says_how_far_it_is_and_nothing_waits_for_it(ready, files, monkeypatch):
-    """Checks wait for each other; a training runs beside them."""
-    monkeypatch.setenv("CLOAK_STUB", "slow")
-    add(files[".onnx"], files[".pt"])
-    first, second = session.jobs
-    assert second.describe() == "Waits for Detector check"
-    bpy.ops.cloak.train_start()
-    training = session.job
-    assert first.running and training.label == "Training" and training.running
-    wait_for(lambda: first.progress.step >= 3)
-    assert 0.3 < first.fraction < 1 and first.describe().startswith("Detector check 3/8")
-    wait_for(lambda: not second.active)
-    assert [d.answer[:5] for d in bpy.context.scene.cloak.detectors] == ["works", "works"]
 
 
 def test_what_the_check_found_stands_in_the_list(ready, files, monkeypatch):
@@ -161,24 +129,6 @@ def test_every_button_uses_the_list(dressed, files):
     onnx.judges = True
     with pytest.raises(InputError, match="All detectors only judge"):
         train_options(settings)
-
-
-def test_the_eye_looks_with_the_list_and_follows_it(dressed, files):
-    settings = bpy.context.scene.cloak
-    settings.judging.eye_from = "CAMERA"
-    add_camera((0, -3, 0.9))
-    add(files[".onnx"])
-    run_job()
-    bpy.ops.cloak.eye()
-    try:
-        watch(lambda: session.eye.seen is not None)
-        assert list(session.eye.seen.glances) == [f"onnx:{files['.onnx']}@conf=0.25"]
-        settings.detectors[0].threshold = 0.5
-        add(files[".pt"])
-        watch(lambda: session.eye.seen is not None and len(session.eye.seen.glances) == 2)
-        assert next(iter(session.eye.seen.glances)) == f"onnx:{files['.onnx']}@conf=0.5"
-    finally:
-        eye.close_eye()
 
 
 def test_a_file_of_version_0_1_asks_for_its_detector(ready, files, tmp_path):

@@ -12,7 +12,7 @@ from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
 from cloak.poses.export import export_summary, poses_reason
-from cloak.poses.poses import PoseChoice, list_poses, lying_warning
+from cloak.poses.poses import PoseChoice, list_poses
 from cloak.training import runs
 from made import add_ngons, make_egg, set_mode
 
@@ -252,15 +252,6 @@ def test_sizes_that_no_camera_sees_are_said_in_step_3(scale, words):
         export(obj)
     bpy.context.scene.unit_settings.scale_length = 1 / scale  # modelled in other units
     assert poses_reason(bpy.context) == "" and export(obj).pose_count == 1
-
-
-def test_a_body_that_lies_is_said():
-    obj = make_egg()
-    assert lying_warning(obj) == ""
-    obj.rotation_euler.x = np.pi / 2
-    bpy.context.view_layer.update()
-    assert "lies: it is 1.8 m long and 500 mm high" in lying_warning(obj)
-    assert poses_reason(bpy.context) == ""  # said, not refused
 
 
 def test_nothing_is_half_written(tmp_path):

@@ -14,7 +14,7 @@ from cloak.result import eye, viewpoints
 from cloak.session import session
 from cloak.trainer import jobs
 from conftest import folder_of, run_job
-from made import add_camera, set_mode
+from made import add_camera
 from mathutils import Matrix, Vector
 
 # --- where one looks from --------------------------------------------------------------------------------------------
@@ -161,18 +161,6 @@ def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye)
     assert Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns == calm  # nothing new, nothing asked
 
 
-def test_the_eye_says_what_stands_in_its_way_and_goes_on(dressed, open_eye):
-    bpy.context.scene.camera.data.type = "ORTHO"
-    watch(lambda: "no perspective" in open_eye.message)
-    assert eye.lines(open_eye, fits=True)[1][0] == open_eye.message
-    bpy.context.scene.camera.data.type = "PERSP"
-    watch(lambda: not open_eye.message)
-    set_mode("EDIT")
-    watch(lambda: "Leave Edit Mode" in open_eye.message)
-    set_mode("OBJECT")
-    watch(lambda: not open_eye.message)
-
-
 def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye):
     process = open_eye._process
     bpy.ops.cloak.eye()
@@ -186,12 +174,3 @@ def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye
     assert session.eye_closed_because == ""
     bpy.data.objects.remove(dressed)
     assert eye.tick() is None and "is gone" in session.eye_closed_because
-
-
-@pytest.mark.parametrize(
-    ("text", "words"), [('{"error": "no such scene"}', "no such scene"), ('{"detectors": {}}', "not the answer")]
-)
-def test_an_answer_that_is_an_error_is_told(tmp_path, text, words):
-    (tmp_path / "look.json").write_text(text)
-    with pytest.raises(InputError, match=words):
-        eye.read_answer(tmp_path / "look.json")

@@ -51,33 +51,6 @@ def test_assign_remove_select(mode):
     assert not faces.logo_names(obj.data)
 
 
-def test_names_stay_apart_and_blenders_own_attributes_are_no_logos():
-    obj = make_egg()
-    mask = np.zeros(len(obj.data.polygons), bool)
-    mask[:4] = True
-    if "sharp_face" not in obj.data.attributes:
-        obj.data.attributes.new("sharp_face", "BOOLEAN", "FACE")
-    obj.data.attributes.new("seam", "BOOLEAN", "EDGE")
-    assert [faces.new_logo(obj, name, mask) for name in ("x", "x", " ", ".y")] == ["x", "x.001", "Logo", "y"]
-    assert faces.new_logo(obj, "seam", mask) == "seam.001"
-    assert faces.logo_names(obj.data) == ["x", "x.001", "Logo", "y", "seam.001"]
-
-
-def test_the_list_shows_the_active_logo_by_name_whatever_its_place():
-    obj = make_egg()
-    mask = np.ones(len(obj.data.polygons), bool)
-    for name in ("one", "two"):
-        faces.new_logo(obj, name, mask)
-    obj.cloak.logo = "two"
-    obj.data.attributes.new("a float", "FLOAT", "FACE")
-    obj.data.attributes.new("a point", "FLOAT", "POINT")
-    assert obj.data.attributes[obj.cloak.logo_index].name == "two"
-    obj.cloak.logo_index = [a.name for a in obj.data.attributes].index("one")
-    assert obj.cloak.logo == "one"
-    obj.cloak.logo_index = [a.name for a in obj.data.attributes].index("a float")  # no logo: nothing happens
-    assert obj.cloak.logo == "one"
-
-
 def test_figures():
     obj = make_grid(5000)
     obj.scale = (2, 2, 2)
@@ -88,16 +61,6 @@ def test_figures():
     assert stats.area_share == pytest.approx(mask.mean(), abs=0.01)
     assert stats.projected_area == pytest.approx(16 * mask.mean(), rel=0.01)  # 4 m x 4 m, seen squarely
     assert stats.whole_projected_area == pytest.approx(16, rel=0.01)
-
-
-def test_hidden_faces_are_said_not_taken():
-    obj = make_egg()
-    faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 30)
-    hidden = np.arange(len(obj.data.polygons)) < 10
-    obj.data.polygons.foreach_set("hide", hidden)
-    assert logo_stats([(obj, faces.read_faces(obj, "a"))]).hidden == 10
-    assert faces.select_faces(obj, faces.read_faces(obj, "a")) == 10
-    assert faces.read_selection(obj).sum() == 20
 
 
 def test_empty_and_foreign_logos_are_refused_by_name():
@@ -153,26 +116,6 @@ def test_a_foreign_face_list_is_refused_with_both_hashes(tmp_path):
 
 
 # --- heat map --------------------------------------------------------------------------------------------------------
-
-
-def test_the_heatmap_can_be_hidden_and_shown_again(stub):
-    from cloak.blender import colors
-    from conftest import run_job
-
-    obj = make_egg()
-    with pytest.raises(RuntimeError, match="has no heat map: press Heatmap first"):
-        bpy.ops.cloak.heatmap_toggle()
-    bpy.ops.cloak.heatmap()
-    run_job()
-    heat = colors.written_colors(obj, "heatmap")
-    bpy.ops.cloak.heatmap_toggle()  # a body without colours of its own
-    assert not colors.shows(obj, "heatmap") and "cloak.heat" in obj.data.attributes
-    bpy.ops.cloak.heatmap_toggle()
-    assert colors.shows(obj, "heatmap") and np.allclose(colors.written_colors(obj, "heatmap"), heat, atol=1e-6)
-    colors.write_face_colors(obj, "colors", heat[:, ::-1])
-    colors.dress(obj, np.array([3]))
-    bpy.ops.cloak.heatmap_toggle()
-    assert obj.data.color_attributes.active_color_name == "cloak.colors"  # its cloak, where it wears one
 
 
 def test_the_outline_runs_around_the_logo_and_not_through_it():
@@ -247,9 +190,3 @@ def test_a_logo_of_a_face_set_or_of_any_integer_attribute(mode, name, title):
     assert [value for value, _, _ in operators.face_sets(obj)] == [f"-1 {name}", f"7 {name}"]
     bpy.ops.cloak.logo_from_face_set(face_set=f"7 {name}")
     assert np.array_equal(taken(obj, title), np.flatnonzero(upper))
-
-
-def test_without_materials_the_button_says_so():
-    make_egg()
-    with pytest.raises(RuntimeError, match="The body has no materials"):
-        bpy.ops.cloak.logo_from_material()

@@ -1,17 +1,14 @@
 """What the extension puts into Blender, and that it leaves nothing behind."""
 
 import threading
-import types
 
 import bpy
 import cloak
 import pytest
 from cloak.blender import marks
-from cloak.result import panel
 from cloak.session import session
 from cloak.trainer import jobs
-from cloak.training import run_list
-from conftest import MODULE, drawn, run_job
+from conftest import MODULE, drawn
 
 
 def test_every_operator_and_property_has_a_description():
@@ -112,34 +109,9 @@ def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, mo
         bpy.ops.cloak.logo_export(filepath="/nonexistent/x.npy")
 
 
-def test_buttons_of_one_operator_have_tooltips_of_their_own():
-    (cls,) = (c for c in cloak.CLASSES if c.__name__ == "CLOAK_OT_stamp_drag")
-    kinds, rna = ("SETTINGS", "LETTER", "SMILEY"), bpy.ops.cloak.stamp_drag.get_rna_type()
-    pressed = [types.SimpleNamespace(bl_rna=rna, kind=kind) for kind in kinds]
-    assert len({cls.description(bpy.context, one) for one in pressed}) == len(kinds)
-
-
 @pytest.mark.parametrize("there", ["nothing", "body", "dressed"])
 def test_every_panel_is_drawn_whatever_there_is(there, request):
     if there != "nothing":
         request.getfixturevalue("ready" if there == "body" else "dressed")
     for cls in (c for c in cloak.CLASSES if issubclass(c, bpy.types.Panel)):
         assert cls.poll(bpy.context) in (True, False) and drawn(cls) is not None
-
-
-def test_what_was_judged_stands_in_the_panel(dressed, coarse_renders, tmp_path):
-    """Renders with scores, rates with intervals, pictures of people."""
-    (tmp_path / "people.json").write_text('{"images": [1], "annotations": []}')
-    dressed.cloak.made_from, bpy.context.scene.cloak.judging.people = "sample:train|0", str(tmp_path)
-    bpy.context.scene.cloak.angle_step = 20
-    for press in (bpy.ops.cloak.render_check, bpy.ops.cloak.evaluate, bpy.ops.cloak.wear, bpy.ops.cloak.turntable):
-        press()
-        assert run_job(200).state == "done", session.job.message
-    run_list.refresh(bpy.context)
-    said = drawn(panel.CLOAK_PT_result)
-    assert said.count("0.10") == said.count("0.90") == 2 and "The cloak holds" in " ".join(said)
-    said = drawn(panel.CLOAK_PT_evaluation)
-    assert said[said.index("Cloak") + 1] == "50% (45–55)" and "at its own 0.5" in said
-    said = drawn(panel.CLOAK_PT_wear)
-    assert "2 people, 1 left out; nobody is reported in:" in " ".join(said) and "before" in said
-    assert said[said.index("Own clothing") + 1].startswith("0%") and "turntable.gif" in drawn(panel.CLOAK_PT_take_along)

@@ -14,7 +14,6 @@ from cloak.exchange.colors import write_colors
 from cloak.result import evaluations, outputs, reasons, ring
 from cloak.result.evaluations import Sector
 from cloak.session import session
-from cloak.trainer import jobs
 from cloak.training import run_list, runs
 from conftest import folder_of, run_job, wait_for
 from made import add_camera
@@ -87,17 +86,6 @@ def test_a_training_on_the_sample_body_says_what_it_was_made_from(ready, monkeyp
     assert not [word for word in runs.remembered_options(folder_of(ready)) if word.startswith("--made-from")]
 
 
-def test_a_cloak_that_hides_no_more_than_clothing_is_bad_news(dressed, tmp_path):
-    from cloak.result.judging import _evaluated
-
-    run = folder_of(dressed)
-    (run / "evaluation").mkdir()
-    told = {"logo": {"success": 0.1, "ci95": [0, 0.2]}, "clothing": {"success": 0.1, "ci95": [0, 0.2]}}
-    (run / "evaluation/summary.json").write_text(json.dumps({"detectors": {"builtin": told}, "n": 8}))
-    job = jobs.Job("Evaluation", [["true"]], tmp_path, "x", lambda job: _evaluated(job, run)).wait(120)
-    assert job.is_bad_news and job.message.startswith("The cloak hides no more than own clothing does")
-
-
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"detectors": 3}', '{"detectors": {"a": {"by_angle": {"x": {}}}}}'])
 def test_an_evaluation_that_cannot_be_read_is_none(dressed, text):
     (folder_of(dressed) / "evaluation").mkdir()
@@ -110,16 +98,6 @@ def test_an_evaluation_that_cannot_be_read_is_none(dressed, text):
 
 def sector(azimuth: float, cloak: float = 1.0, clothing: float | None = None) -> Sector:
     return Sector(azimuth, cloak, clothing, 10)
-
-
-def test_arcs_share_the_circle_and_leave_open_what_was_not_evaluated():
-    whole = ring.arcs([sector(a) for a in range(-180, 180, 30)])
-    assert math.isclose(sum(last - first for first, last, _ in whole), 360)
-    assert {arc[:2] for arc in whole} >= {(-15, 15), (75, 105)}
-    front = ring.arcs([sector(a) for a in (-10, 0, 10)])
-    assert sorted((first % 360, last % 360) for first, last, _ in front) == [(5, 15), (345, 355), (355, 5)]
-    assert [arc[:2] for arc in ring.arcs([sector(90)])] == [(75, 105)]
-    assert ring.arcs([]) == []
 
 
 def test_the_ring_has_the_cloak_outside_and_stands_where_cameras_stood():
@@ -191,13 +169,6 @@ def test_a_film_follows_the_scenes_camera(dressed):
     first, last = rows[0], rows[-1]
     assert np.allclose([first["azimuth"], first["elevation"], first["distance"]], [0, 0, 2], atol=0.01)
     assert np.allclose([last["time"], last["azimuth"], last["distance"]], [1, 90, 4], atol=0.01)
-
-
-def test_keyframes_turn_on_beyond_half_a_circle():
-    turn = np.radians([0, 120, 240, 350])
-    away = np.stack([2 * np.sin(turn), np.zeros(4), 2 * np.cos(turn)], -1)
-    rows = outputs.keyframes(np.arange(4.0), away).splitlines()
-    assert [float(row.split(",")[1]) for row in rows[1:]] == [0, 120, 240, 350]
 
 
 def test_other_faces_than_the_runs_are_refused(dressed):

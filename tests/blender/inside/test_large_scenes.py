@@ -47,11 +47,6 @@ def redraw() -> None:
         overlay.active_stats(bpy.context.object)
 
 
-def move_one() -> None:
-    bpy.data.objects["Cube 47"].location.x += 0.1
-    bpy.context.view_layer.update()
-
-
 def seconds(action) -> float:
     """Of this thread: others may share its core."""
     start = time.thread_time()
@@ -70,17 +65,6 @@ def test_a_redraw_asks_nothing_of_ten_thousand_objects(crowd):
         garments.wearable(body)
 
     assert min(seconds(change) for _ in range(3)) < CHANGE
-
-
-@pytest.mark.parametrize("crowd", [100], indirect=True)
-def test_a_moved_object_alone_is_asked_about(crowd, monkeypatch):
-    redraw()
-    asked, near = [], garments.objects_near
-    monkeypatch.setattr(garments, "objects_near", lambda objects, box: asked.append(len(objects)) or near(objects, box))
-    for _ in range(3):
-        move_one()
-        redraw()
-    assert asked == [1, 1, 1]
 
 
 def test_what_is_kept_equals_what_all_objects_say():

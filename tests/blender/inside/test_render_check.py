@@ -7,7 +7,6 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender.pictures import read_picture, save_picture
-from cloak.files.errors import InputError
 from cloak.result import render_check
 from cloak.training import run_list, runs
 from conftest import folder_of, run_job
@@ -120,17 +119,3 @@ def test_each_detector_judges_by_its_own_threshold(tmp_path):
     told = render_check.describe_all(found)
     assert told.startswith("Holds against 1 of 2 detectors. Worst, onnx:b.onnx@conf=0.25: The cloak holds in 1 of 2")
     assert render_check.last_verdicts(tmp_path) == tuple(found)
-
-
-def test_it_wants_the_cloak_on(tmp_path, stub):
-    dressed(tmp_path)
-    bpy.ops.cloak.result_toggle()
-    with pytest.raises(RuntimeError, match="switch the cloak on first"):
-        bpy.ops.cloak.render_check()
-
-
-def test_answers_that_make_no_sense(tmp_path):
-    plan = render_check.Plan("Body", tmp_path, (0,))
-    for answers in (["", ""], ["{}", "{}"], ["[]", "3"]):
-        with pytest.raises(InputError, match="not understood"):
-            render_check.verdicts(plan, ["builtin"], answers)

@@ -12,7 +12,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak import translations
 from cloak.blender import colors
 from cloak.blender.mesh_arrays import topology
 from cloak.exchange.face_lists import write_face_list
@@ -21,7 +20,7 @@ from cloak.result.reasons import result_reason
 from cloak.session import session
 from cloak.trainer import jobs
 from cloak.training import run_list, runs
-from cloak.training.operators import kept_reason, run_reason, selected_run
+from cloak.training.operators import run_reason, selected_run
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import make_egg
 
@@ -72,16 +71,6 @@ def test_runs_are_listed_with_how_they_ended(ready, monkeypatch):
     assert folder_of(ready).name == "Body Brust_Ärmel" and result_reason(bpy.context) == ""
 
 
-def test_a_failed_start_makes_room_for_the_next(ready, monkeypatch):
-    monkeypatch.setenv("CLOAK_STUB", "refuse")
-    bpy.ops.cloak.train_start()
-    run_job()
-    monkeypatch.setenv("CLOAK_STUB", "")
-    bpy.ops.cloak.train_start()
-    run_job()
-    assert listed() == {"Body Brust_Ärmel": "done"}
-
-
 def test_undo_does_not_forget_a_run_nor_leave_the_body_naked(ready, monkeypatch):
     """Ctrl Z during a training takes back what was done before Start, and with it what the training put on the mesh."""
     bpy.context.scene.cloak.live_seconds, bpy.context.scene.cloak.steps = 0.5, 300
@@ -104,18 +93,6 @@ def test_undo_does_not_forget_a_run_nor_leave_the_body_naked(ready, monkeypatch)
     assert run_job().state == "stopped" and red_faces(bpy.data.objects["Body"]) == LOGO_FACES
 
 
-def test_show_original_stays_while_colours_go_on_coming(ready, monkeypatch):
-    """What the user took off is not put on again: only undo's losses are."""
-    monkeypatch.setenv("CLOAK_STUB", "slow")
-    bpy.context.scene.cloak.live_seconds, bpy.context.scene.cloak.steps = 0.5, 300
-    bpy.ops.cloak.train_start()
-    wait_for(lambda: colors.is_dressed(ready))
-    bpy.ops.cloak.result_toggle()
-    step = session.job.progress.step
-    wait_for(lambda: session.job.progress.step > step + 7)
-    assert session.job.running and not colors.is_dressed(ready)
-
-
 def test_a_deleted_body_is_said_at_once_and_undo_brings_all_back(ready, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.context.scene.cloak.live_seconds, bpy.context.scene.cloak.steps = 0.5, 300
@@ -135,31 +112,6 @@ def test_a_deleted_body_is_said_at_once_and_undo_brings_all_back(ready, monkeypa
 
 
 # --- more steps -------------------------------------------------------------------------------------------------------
-
-
-def test_more_steps_for_a_run_that_is_done(ready):
-    """Resume has nothing to do and says so; Extend goes on from its colours in a new run."""
-    bpy.ops.cloak.train_start()
-    run_job()
-    first, settings = folder_of(ready), bpy.context.scene.cloak
-    settings.steps = 40
-    with pytest.raises(RuntimeError, match=r"is done \(20/20\): Extend trains on from its colours"):
-        bpy.ops.cloak.train_resume()
-    bpy.ops.cloak.train_extend()
-    job = run_job()
-    assert job.state == "done" and "40/40" in job.message and folder_of(ready) != first
-    assert {"--steps=40", f"--init={first}"} < set(runs.remembered_options(folder_of(ready)))
-    assert listed() == {"Body Brust_Ärmel": "done", "Body Brust_Ärmel 2": "done"}
-
-
-def test_resume_says_what_it_keeps(ready, monkeypatch):
-    cancelled_run(ready, monkeypatch)
-    assert kept_reason(bpy.context) == ""
-    bpy.context.scene.cloak.steps, bpy.context.scene.cloak.preset = 40, "paper"
-    expected = "Resume keeps what Body Brust_Ärmel began with: preset best (not paper), steps 20 (not 40); Extend"
-    assert kept_reason(bpy.context).startswith(expected)
-    bpy.ops.cloak.train_resume()
-    assert "20/20" in run_job().message
 
 
 # --- trainers that this Blender did not start -------------------------------------------------------------------------
@@ -213,20 +165,6 @@ def test_an_orphan_is_found_followed_and_stopped(orphan):
     assert listed() == {"Body Brust_Ärmel": "stopped"} and run_reason(bpy.context, "resumed") == ""
 
 
-def test_an_orphan_is_stopped_without_following_it(orphan):
-    choose("Body Brust_Ärmel")
-    with pytest.raises(RuntimeError, match="is being trained: stop it first"):
-        bpy.ops.cloak.run_delete()
-    bpy.ops.cloak.run_stop()
-    wait_for(lambda: listed() == {"Body Brust_Ärmel": "stopped"})
-    with pytest.raises(RuntimeError, match="is not being trained"):
-        bpy.ops.cloak.run_stop()
-    run = folder_of(bpy.data.objects["Body"])
-    bpy.ops.cloak.run_delete()
-    assert not run.exists() and not runs.input_folder(run).exists() and listed() == {}
-    assert not bpy.data.objects["Body"].cloak.run
-
-
 def test_closing_blender_lets_a_found_training_go_on(orphan):
     choose("Body Brust_Ärmel")
     bpy.ops.cloak.run_attach()
@@ -236,15 +174,6 @@ def test_closing_blender_lets_a_found_training_go_on(orphan):
     bpy.ops.preferences.addon_enable(module=MODULE)
     time.sleep(0.3)
     assert is_alive(orphan) and not (run / "cancel").exists()
-
-
-def test_a_found_training_that_dies_has_no_invented_exit_code(orphan):
-    choose("Body Brust_Ärmel")
-    bpy.ops.cloak.run_attach()
-    wait_for(lambda: session.job.progress.step >= 2)
-    os.kill(orphan, signal.SIGKILL)
-    job = run_job()
-    assert job.state == "failed" and "ended without a word after step" in job.message and "code" not in job.message
 
 
 # --- runs of the command line, and what is no run ---------------------------------------------------------------------
@@ -360,10 +289,3 @@ def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_t
     assert run_list.is_running(tmp_path)
     holder.communicate(timeout=120)
     assert not run_list.is_running(tmp_path)
-
-
-def test_colours_without_a_training_log_are_a_finished_run(dressed):
-    """Such as the zoo's: `cloak zoo export`."""
-    state = run_list.read_state(folder_of(dressed))
-    assert (state.state, state.why, state.detectors) == ("done", "", ("builtin",))
-    assert translations.translate("Done, against builtin", "de") == "Fertig, gegen builtin"

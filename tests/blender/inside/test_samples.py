@@ -12,7 +12,6 @@ from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.logo import operators as heat
-from cloak.logo import overlay
 from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
 from cloak.result.judging import check_reason
@@ -74,13 +73,6 @@ def test_body_and_garments_are_objects_with_names_and_logos_of_their_own(clothed
         assert [key.name for key in obj.data.shape_keys.key_blocks] == ["walking-00", "walking-01"]
 
 
-def test_clothed_people_stand_clear_with_what_they_wear():
-    bpy.ops.mesh.primitive_cube_add()
-    obj = add_people(bpy.context, made_clothed(), True, "Sample Body")
-    bpy.context.view_layer.update()
-    assert obj.location.x == pytest.approx(1.3) and obj.children[0].matrix_world.translation.x == pytest.approx(1.3)
-
-
 def test_an_export_has_the_faces_colours_and_poses_of_the_clothed_people(clothed, tmp_path):
     wanted, (_, done) = made_clothed(), exported(clothed, tmp_path)
     bodies = read_scene(done.scene)
@@ -88,18 +80,6 @@ def test_an_export_has_the_faces_colours_and_poses_of_the_clothed_people(clothed
     assert np.allclose(bodies.vertices, wanted.vertices, atol=1e-6)
     assert np.allclose(bodies.face_colors, wanted.face_colors, atol=1e-3), "garments change with the body's outfits"
     assert read_face_list(done.face_list, bodies).ids.tolist() == list(range(6, 18))
-
-
-def test_figures_and_tint_count_the_garments(clothed):
-    stats = overlay.active_stats(clothed)
-    assert stats.faces == 12 and 0.5 < stats.area_share < 0.9
-    mask = faces.read_faces(clothed, CLOTHES)
-    corners = overlay.worn_tint(clothed, mask)
-    assert corners.shape == (2 * 6 * 2 * 3, 3) and len(overlay.tint_triangles(clothed, mask)) == 0
-    assert corners[:, 2].max() == pytest.approx(2, abs=0.01)
-    for worn in clothed.children:
-        worn.cloak.left_out = True
-    assert overlay.active_stats(clothed).faces == 0, "what the camera does not see does not count"
 
 
 def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):

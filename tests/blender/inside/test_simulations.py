@@ -6,7 +6,6 @@ import pytest
 from cloak.blender import faces
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
-from cloak.poses import poses
 from cloak.poses.export import poses_reason
 from cloak.poses.poses import PoseChoice
 from made import make_egg
@@ -76,31 +75,6 @@ def test_what_was_never_played_is_played(kind):
     bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)[0]
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
     assert bpy.context.scene.frame_current == 17
-
-
-def test_a_logo_on_cloth_that_is_refined_after_the_simulation():
-    """Numbering the faces for the trace through Subdivision Surface does not start the simulation anew."""
-    obj = make_egg(8)
-    sheet = make_sheet(obj, "CLOTH")
-    fine = sheet.modifiers.new("Fine", "SUBSURF")
-    fine.levels = 1
-    faces.new_logo(sheet, "chest", np.arange(len(sheet.data.polygons)) < 3)
-    expected = played(sheet)
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES, "chest")[0]
-    assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
-
-
-def test_a_baked_simulation_is_not_played_again():
-    obj = make_egg(8)
-    sheet = make_sheet(obj, "CLOTH")
-    expected = played(sheet)
-    cache = sheet.modifiers["Falls"].point_cache
-    assert poses.first_frame(bpy.context.scene, [obj, sheet]) == 1
-    with bpy.context.temp_override(scene=bpy.context.scene, object=sheet, active_object=sheet, point_cache=cache):
-        bpy.ops.ptcache.bake(bake=True)
-    assert cache.is_baked and poses.first_frame(bpy.context.scene, [obj, sheet]) is None
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)[0]
-    assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
 
 
 def test_every_action_does_not_go_with_a_simulation():

@@ -54,20 +54,6 @@ def test_revert_open_rename_and_duplicate_find_the_body_again(training, tmp_path
     assert len(worn) == 2 and red_faces(worn[0]) == LOGO_FACES
 
 
-def test_another_file_hears_nothing_of_how_it_ended(training, tmp_path):
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    make_egg(8, name="Somebody Else")
-    jobs.tick()
-    assert "'Body' was deleted: its training goes on" in session.job.notice
-    assert cancel().state == "stopped" and session.job.message
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert session.job is None
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "body.blend"))
-    choose(training.name)
-    bpy.ops.cloak.result_load()
-    assert red_faces(bpy.data.objects["Body"]) == LOGO_FACES
-
-
 def test_an_appended_body_keeps_its_run(training, tmp_path):
     assert cancel().state == "stopped"
     bpy.ops.wm.save_mainfile()

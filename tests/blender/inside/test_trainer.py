@@ -1,9 +1,7 @@
 """What the trainer is started with: a Python that has it, and settings that can work."""
 
-import json
 import re
 import sys
-from operator import attrgetter
 from pathlib import Path
 
 import bpy
@@ -16,13 +14,12 @@ from cloak.result import judging
 from cloak.session import session
 from cloak.trainer import jobs, program
 from cloak.trainer import preferences as preferences_module
-from cloak.trainer.jobs import Job, TrainingJob
+from cloak.trainer.jobs import Job
 from cloak.trainer.preferences import preferences, trainer_reason
 from cloak.trainer.program import cloak_command
 from cloak.trainer.progress import Progress, take_event
 from cloak.training import runs
 from cloak.training.operators import train_reason
-from cloak.ui import window
 from conftest import run_job
 
 # --- the program ------------------------------------------------------------------------------------------------------
@@ -120,37 +117,11 @@ def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, 
     assert "person detected in 0 of 2 renders with the cloak" in job.message
 
 
-def test_a_wrong_program_is_said(ready, tmp_path):
-    preferences().program = "/nowhere/cloak"
-    with pytest.raises(RuntimeError, match="cannot be run"):
-        bpy.ops.cloak.train_start()
-    assert not Path(bpy.context.scene.cloak.output).exists()
-    preferences().program = str(make_program(tmp_path / "empty"))
-    bpy.ops.cloak.train_start()
-    job = run_job()
-    assert job.state == "failed" and "The trainer ended and left no colours in" in job.message
-
-
-def test_test_says_what_the_trainer_is_or_what_is_wrong(ready, stub, monkeypatch):
-    bpy.ops.cloak.test_trainer()
-    job = run_job()
-    assert preferences().answer == job.message == "Cloak 0.stub, torch 0.stub, Python 3.11.0, CPU"
-    monkeypatch.setenv("CLOAK_STUB", "refuse")
-    bpy.ops.cloak.test_trainer()
-    assert run_job().state == "failed" and preferences().answer == "The trainer does not work: no libtorch.so"
-
-
 def test_where_no_network_is_allowed_the_trainer_is_told():
     system = bpy.context.preferences.system
     for allowed in (True, False):
         system.use_online_access = allowed
         assert ("CLOAK_OFFLINE" in program.clean_environment()) == (not bpy.app.online_access)
-
-
-def test_blenders_own_python_settings_do_not_reach_the_trainer(monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
-    monkeypatch.setenv("PYTHONHOME", "/blender")
-    assert not {"PYTHONPATH", "PYTHONHOME"} & set(program.clean_environment())
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
@@ -195,14 +166,6 @@ def test_no_line_can_upset_the_progress(line):
     assert (after.step, after.steps, after.loss) == (3, 9, 0.5)
 
 
-def test_time_left_follows_the_pace():
-    progress = take_event(Progress(), b'{"type": "start", "step": 0, "time": 0, "steps": 100}')
-    for step in range(1, 11):
-        progress = take_event(progress, json.dumps({"type": "step", "step": step, "time": 2.0 * step}).encode())
-    assert progress.seconds_left == pytest.approx(180)
-    assert "3 min left" in progress.describe()
-
-
 def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_path):
     def say(text: str) -> list[str]:
         return [sys.executable, "-c", f"print({text!r})"]
@@ -219,16 +182,6 @@ def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_
     assert job.wait(120).state == "stopped"
 
 
-def test_what_follows_a_job_may_fail_it_or_have_the_last_word(tmp_path, stub):
-    def refuse(job: Job) -> None:
-        raise InputError("the object is gone")
-
-    job = Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", refuse).wait()
-    assert (job.state, job.message) == ("failed", "the object is gone")
-    job = Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", lambda job: "Opened it").wait()
-    assert (job.state, job.message) == ("done", "Opened it")
-
-
 def test_jobs_wait_their_turn_and_say_so(tmp_path, stub):
     quick = [[str(stub), "-c", "pass"]]
     first = jobs.launch(Job("One", [[str(stub), "-c", "import time; time.sleep(0.5)"]], tmp_path, "one"))
@@ -242,34 +195,9 @@ def test_jobs_wait_their_turn_and_say_so(tmp_path, stub):
     assert third.message == "Three stopped" and "cannot be started" in lost.message
 
 
-def test_no_timer_acts_while_a_tool_is_at_work(tmp_path, stub, monkeypatch):
-    """Each that is registered anywhere waits; what a job's end does comes when the tool has ended."""
-    timers = []
-    for name, module in [
-        (n, m) for n, m in sys.modules.items() if n.startswith("cloak.") and getattr(m, "__file__", 0)
-    ]:
-        for timer in re.findall(r"timers\.register\(([\w.]+)", Path(module.__file__).read_text()):
-            timers.append(f"{name}.{timer}")
-            assert hasattr(attrgetter(timer)(module), "__wrapped__"), timers[-1]
-    assert len(timers) >= 5
-    ended = []
-    job = jobs.launch(Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", ended.append))
-    job._process.wait()
-    monkeypatch.setattr(window, "tool_at_work", lambda: "Sculpt")
-    assert jobs.tick() == jobs.TICK_SECONDS and job.running and not ended
-    monkeypatch.undo()
-    assert run_job().state == "done" and ended == [job]
-
-
 def test_run_folders_never_collide(tmp_path):
     first = runs.new_run(tmp_path, "a:b", "c*?")
     assert first.name == "a_b c_"
     runs.input_folder(first).mkdir()
     assert runs.new_run(tmp_path, "a:b", "c*?").name == "a_b c_ 2"
     assert runs.new_run(tmp_path, "..", "..").name == "run" or ".." not in runs.new_run(tmp_path, "..", "..").parts
-
-
-def test_a_training_job_without_events_still_ends(tmp_path, stub):
-    run = tmp_path / "never"
-    job = TrainingJob([str(stub), "-c", "pass"], run, tmp_path)
-    assert job.wait(120).state == "done" and job.progress == Progress()

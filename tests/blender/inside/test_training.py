@@ -60,13 +60,6 @@ def test_progress_live_colours_and_cancel_then_resume(ready, monkeypatch):
     assert [e["step"] for e in events if e["type"] == "step"] == list(range(1, 21))  # went on, did not start over
 
 
-def test_cancel_before_the_run_folder_exists(ready, monkeypatch):
-    monkeypatch.setenv("CLOAK_STUB", "slow")  # not done before it hears of it
-    bpy.ops.cloak.train_start()
-    bpy.ops.cloak.train_cancel()
-    assert run_job().state == "stopped"
-
-
 def test_trainer_killed(ready, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "die")
     bpy.ops.cloak.train_start()
@@ -137,14 +130,6 @@ def test_an_output_that_cannot_be_is_refused(ready, output, words):
     with pytest.raises(RuntimeError, match=words):
         bpy.ops.cloak.train_start()
     assert session.job is None and not ready.cloak.run
-
-
-def test_runs_of_a_file_without_a_name_outlive_the_extension(ready):
-    bpy.context.scene.cloak.output = ""
-    bpy.ops.cloak.train_start()
-    assert run_job().state == "done"
-    run, own = Path(ready.cloak.run), Path(bpy.utils.extension_path_user(MODULE, path="", create=False))
-    assert own not in run.parents and run.parent == Path(bpy.utils.user_resource("DATAFILES"), "cloak runs")
 
 
 # --- Blender closes ---------------------------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """German and French: every text that Blender would translate has both."""
 
-import string
-
 import pytest
 from cloak import translations
 from msgids import msgids, sentences
@@ -39,22 +37,3 @@ def test_sentences_are_known_by_their_pattern(sentence, german):
 def test_every_reason_has_its_pattern():
     missing = [text for text in sentences() if text not in translations.words()]
     assert not missing, "\n".join(missing)
-
-
-@pytest.mark.parametrize("language", LANGUAGES)
-def test_tooltips_end_as_blender_wants_and_are_no_copies(language):
-    words = {text: told[language] for text, told in translations.words().items()}
-    assert not [said for said in words.values() if said.endswith(".") and not said.endswith("...")]
-    same = [text for text, said in words.items() if text == said and len(text) > 12 and "{}" not in text]
-    assert not same, same
-    letters = {c for said in words.values() for c in said} - set(string.printable)
-    assert letters & set("äöüß") or letters & set("éèàç")
-
-
-def test_blender_is_told_under_every_name_it_gives_the_languages():
-    """In a window it is looked at by tools/blender/show_first_look.py: the bpy package knows no language."""
-    words = translations.dictionaries()
-    assert set(words) == {"de_DE", "de", "fr_FR", "fr"} and words["de"] == words["de_DE"]
-    for context in ("Operator", "*"):
-        assert words["de"][context, "Paint with a Brush"] == "Mit Pinsel malen"
-        assert words["fr"][context, "Paint with a Brush"] == "Peindre à la brosse"
