@@ -24,14 +24,6 @@ def test_version_says_what_it_is_made_of(capsys) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("line", "same"), [("help", "--help"), ("help zoo", "zoo --help"), ("help train", "train --help")]
-)
-def test_help_is_a_command_too(line, same, capsys) -> None:
-    assert said(line, capsys) == said(same, capsys)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
     ("line", "words"),
     [
         ("trian", "unknown command 'trian'; did you mean train?"),

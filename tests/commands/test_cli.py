@@ -35,13 +35,6 @@ def test_json_alone_on_standard_output(scene):
     assert len(record["topology"]) == 64
 
 
-@pytest.mark.parametrize("words", ["", "scene", "logo", "export", "zoo", "detectors", "bench"])
-def test_the_bare_form_of_a_group_lists_its_commands(words, capsys):
-    with pytest.raises(SystemExit) as end:
-        cli.main(words.split())
-    assert end.value.code == 2 and "usage: cloak COMMAND" in capsys.readouterr().out
-
-
 @pytest.mark.slow
 def test_a_part_of_what_is_needed(capsys):
     for line, needs in (
@@ -81,25 +74,6 @@ def help_text(name, capsys, monkeypatch, option="--help-all"):
     with pytest.raises(SystemExit):
         cli.parse(name, [option])
     return capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_help_of_training_is_short_and_has_headings_and_choices(capsys, monkeypatch):
-    text = help_text("train", capsys, monkeypatch, "--help")
-    assert sum(line.startswith("  --") for line in text.splitlines()) == 22 and "--help-all" in text
-    text = help_text("train", capsys, monkeypatch)
-    shown = re.findall(r"^(?:[A-Z][\w ]*(?=:)|  --(?:preset|outfits|distance|lr) .*?$)", text, re.MULTILINE)
-    assert shown[:2] == ["Example", "Options"] and shown[-1] == "Computing"
-    assert "  --preset {paper,reference,best,transfer,photographs}" in shown and "  --outfits {random,first}" in shown
-    assert any(line.startswith("  --distance LOW:HIGH  ") for line in shown) and "Optimiser" in shown
-
-
-@pytest.mark.slow
-def test_help_names_every_command():
-    done = cloak("--help")
-    assert done.returncode == 0
-    assert all(f"cloak {name}" in done.stdout for name in cli.COMMANDS)
-    assert all(f"\n{group}:\n" in done.stdout for group in cli.GROUPS)
 
 
 @pytest.mark.slow

@@ -1,18 +1,10 @@
 """What long commands tell people and programs about how far they are."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import pytest
 
-from cloak_core.cli import load
-from cloak_core.commands.progress import Pace, TrainingProgress, WorkProgress, counted
-from cloak_core.commands.train import Train
-from cloak_core.commands.transfer import Transfer
+from cloak_core.commands.progress import Pace, counted
 from cloak_core.core.events import read_events
-from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
-from cloak_core.studies.pace import in_turn
 
 
 @pytest.fixture
@@ -59,70 +51,3 @@ def test_a_log_hears_at_the_start_what_there_is_to_do_and_soon_how_long_it_takes
         "counting: 1,000 beans",
         "counting: 3 of 1000, about 17 min left",
     ]
-
-
-def test_training_says_its_pace_and_whose_success_it_is(clock, capsys):
-    with TrainingProgress() as progress:
-        progress({"type": "start", "step": 0, "steps": 1000})
-        for step in (1, 2, 1000):
-            clock[0] += 2
-            progress({"type": "step", "step": step, "loss": 1.0, "success": 0.5, "time": 1.0 * step})
-    start, second, last = capsys.readouterr().err.strip().splitlines()
-    assert start == "training: 1,000 updates"
-    assert second == "training: 2 of 1000, loss 1.000, success on its last images 50%, about 33 min left"
-    assert last == "training: 1000 of 1000, loss 1.000, success on its last images 50%"
-
-
-def test_parts_of_work_are_told_in_turn(clock, capsys):
-    progress = WorkProgress()
-    for done in (0, 1, 100):
-        progress("zoo", done, 1000)
-        clock[0] += 60
-    assert capsys.readouterr().err.splitlines() == ["zoo: 0%", "zoo: 0%", "zoo: 10%, about 9 min left"]
-
-
-@pytest.mark.parametrize(
-    ("times", "items", "weight", "said"),
-    [
-        ([0, 60, 120, 180], [1, 1, 1], lambda item: 1.0, ["", "; about 4 min 0 s left", "; about 1 min 30 s left"]),
-        ([0, 0, 20, 60], [1, 2, 7], float, ["", "; about 3 min 0 s left", "; about 2 min 20 s left"]),
-    ],
-)
-def test_a_list_of_work_is_counted_with_the_time_left(monkeypatch, times, items, weight, said):
-    clock = iter(map(float, times))
-    monkeypatch.setattr("cloak_core.studies.pace.time.monotonic", lambda: next(clock))
-    told: list[str] = []
-    assert list(in_turn(items, str, told.append, weight)) == items
-    assert told == [f"{n} of 3: {item}{left}" for n, (item, left) in enumerate(zip(items, said, strict=True), 1)]
-
-
-@pytest.mark.parametrize(
-    ("trained_on", "others"),
-    [
-        ("people.json[0::2]", "people.json[1::2]"),
-        ("people.json[1::2]", "people.json[0::2]"),
-        ("people.json[:40]", "OTHERS.json"),
-        ("people.json", "OTHERS.json"),
-        ("people.json[2::3]", "OTHERS.json"),
-    ],
-)
-def test_who_trained_on_people_is_told_to_judge_on_others(trained_on, others):
-    command = Train.of(make_settings("photographs"), logo=Path("logo.npy"), out=Path("run"), people=trained_on)
-    assert command.following({"out": "run"}) == ("evaluate", "run", "--people", others)
-    assert ("not trained on" in command.next_why) == (others == "OTHERS.json")
-
-
-def test_who_filled_a_matrix_on_people_is_told_to_train_on_people():
-    command = Transfer(detector=("builtin",), out=Path("matrix"), people="people.json", images=Path("photos"))
-    said = " ".join(command.following({}))
-    assert "--preset photographs --people people.json --images photos --logo shirt+trousers" in said
-    assert " ".join(replace(command, people=None).following({})[:5]) == "train --preset transfer --logo chest+thighs"
-
-
-LONG = ("train", "evaluate", "wear", "assess", "harden", "sweep", "transfer", "reproduce", "film", "demo")
-BENCHES = ("views", "step", "detectors", "accuracy", "growth", "gpu", "stability")
-
-
-@pytest.mark.parametrize("name", [*LONG, *(f"bench {name}" for name in BENCHES)])
-def test_long_commands_end_with_the_next_one(name):
-    assert {"following", "then"} & vars(load(name)).keys(), f"cloak {name} says nothing of what comes next"

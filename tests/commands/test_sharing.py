@@ -9,7 +9,7 @@ from cloak_core.commands import sharing
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.reproduce import PARTS, Reproduce
 from cloak_core.experiments.options import Options
-from cloak_core.files.errors import InputError, Stopped
+from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.jobs.job import done
 from cloak_core.studies import store, training_store
@@ -99,12 +99,6 @@ def test_a_part_that_fails_is_named_after_the_others_are_done(transfer, elsewher
     assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 2
     said = capsys.readouterr().err
     assert "2 of 2 parts failed, the first of them recipe, judged by" in said and said.rstrip().endswith(": no")
-
-
-def test_a_part_that_was_ended_early_ends_the_command_in_order(transfer, elsewhere, tmp_path, monkeypatch):
-    monkeypatch.setattr(store.RunStore, "train_faces", failing(Stopped("enough")))
-    assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 3
-    assert len(elsewhere.names) == 1
 
 
 def test_cards_and_experiments_fall_into_parts(tmp_path):

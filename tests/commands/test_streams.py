@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core import __version__, cli
-from cloak_core.cli import in_words
+from cloak_core import cli
 
 ASCII = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
 
@@ -40,13 +39,6 @@ def test_a_reader_who_has_had_enough_is_no_error(line: str) -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-def test_an_output_that_is_a_device_is_left_alone(capsys: pytest.CaptureFixture) -> None:
-    with pytest.raises(SystemExit) as end:
-        cli.main(["logo", "select", "--scene", "sample:train", "--region", "chest", "--out", "/dev/full"])
-    assert end.value.code == 2 and "/dev/full" in capsys.readouterr().err
-    assert Path("/dev/full").is_char_device()
-
-
 @pytest.mark.slow
 def test_a_terminal_without_the_characters(tmp_path: Path) -> None:
     """Help, results and errors hold characters beyond ASCII."""
@@ -57,21 +49,6 @@ def test_a_terminal_without_the_characters(tmp_path: Path) -> None:
     assert refused.returncode == 2 and len(refused.stderr.splitlines()) == 1 and b"---" not in refused.stderr
     absent = cloak("scene info \N{GREATER-THAN OR EQUAL TO}", env=environment, stdout=subprocess.PIPE)
     assert absent.returncode == 2 and absent.stderr.isascii() and len(absent.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize("line", ["--version --json", "--json --version"])
-def test_the_version_as_json(line: str, capsys: pytest.CaptureFixture) -> None:
-    with pytest.raises(SystemExit) as end:
-        cli.main(line.split())
-    assert not end.value.code and json.loads(capsys.readouterr().out) == {"version": __version__}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("line", ["--help --json", "--json --help", "train --help --json"])
-def test_help_is_help(line: str, capsys: pytest.CaptureFixture) -> None:
-    with pytest.raises(SystemExit) as end:
-        cli.main(line.split())
-    assert not end.value.code and "usage: cloak" in capsys.readouterr().out
 
 
 def test_a_line_break_in_a_path_makes_no_second_line(tmp_path: Path) -> None:
@@ -157,25 +134,6 @@ def test_what_a_detector_writes_on_the_descriptor_stays_out_of_the_json(tmp_path
     assert done.returncode == 0 and json.loads(done.stdout)["boxes"] == []
     for noise in (b"noise", b"of a child", b"of Python", b"while it runs"):
         assert noise in done.stderr
-
-
-def test_errors_that_are_no_defects_have_words(tmp_path: Path) -> None:
-    import torch
-
-    for error in (
-        MemoryError("Unable to allocate 8 GiB"),
-        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes."),
-        torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB"),
-        OSError(12, "Cannot allocate memory"),
-        ImportError("libtorch.so: failed to map segment from shared object: Cannot allocate memory"),
-        ImportError("pandas/_libs/lib.so: failed to map segment from shared object"),
-    ):
-        assert in_words(error).startswith("not enough memory ("), error
-    assert in_words(OSError(28, "No space left on device", "a.npy")) == (
-        "a.npy: cannot be written (No space left on device)"
-    )
-    for defect in (RuntimeError("shapes differ"), ImportError("no module"), OSError(5, "Input/output error")):
-        assert in_words(defect) is None
 
 
 LIMITED = """

@@ -1,7 +1,6 @@
 """`cloak train --log` and `--extend`, and `cloak sweep`, through the command line."""
 
 import json
-import shutil
 import sys
 from pathlib import Path
 
@@ -123,20 +122,6 @@ def test_a_complete_run_is_made_longer(logo, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_run_that_is_stopped_says_how_it_goes_on_and_an_empty_folder_is_taken(logo, tmp_path, capsys):
-    (tmp_path / "run").mkdir()
-    code, _, said = cloak(capsys, *train(logo, "--max-seconds", 1e-6))
-    assert code == 3 and "stopped at step 1: time budget; the same command with --resume goes on" in said
-
-
-def test_people_given_as_a_scene_are_named(logo, tmp_path, capsys):
-    code, _, said = cloak(capsys, *train(logo, "--scene", "people.json"))
-    assert (
-        code == 2 and "--scene people.json: no scene of bodies; people in photographs are --people people.json" in said
-    )
-
-
-@pytest.mark.slow
 def test_sweep(logo, tmp_path, capsys):
     base = QUICK | {"scene": "sample:train[0:1]", "backgrounds": "procedural:train:2", "logo": logo}
     lines = [f"{key} = {json.dumps(value)}" for key, value in base.items()]
@@ -153,25 +138,3 @@ def test_sweep(logo, tmp_path, capsys):
     (tmp_path / "grid.toml").write_text("[base]\n[grid]\ncolour = [1]\n")
     code, _, said = cloak(capsys, "sweep", "grid.toml", "--out", "other")
     assert code == 2 and said.count("\n") == 1 and "grid.toml" in said and not (tmp_path / "other").exists()
-
-
-@pytest.mark.slow
-def test_a_run_stopped_by_the_first_version_goes_on(tmp_path, capsys):
-    old = Path(__file__).parents[1] / "old_versions" / "v0.1.0"
-    shutil.copytree(old / "stopped", tmp_path / "run")
-    words = ["--scene", old / "scene", "--logo", old / "logo.npy", "--detector", "builtin@96", "--seed", 3]
-    words += ["--backgrounds", "procedural:train:4", "--steps", 400, "--batch", 2, "--angles", "-10:10:10"]
-    words += ["--size", 96, "--translation", 8, "--checkpoint-every", 1, "--preview-every", 0]
-    resume = ["train", *words, "--out", tmp_path / "run", "--resume", "--max-seconds", 1e-6, "--json"]
-    code, _, said = cloak(capsys, *resume, "--distance", 2.2)
-    assert code == 2 and "settings.distance = 2:2.4, not 2.2" in said
-    code, said, errors = cloak(capsys, *resume, "--distance", "2.0:2.4")
-    assert code == 3 and json.loads(said)["step"] == 2, errors
-
-
-def test_preset_transfer_with_one_detector_says_that_it_needs_more(logo, capsys):
-    code, _, said = cloak(capsys, *train("absent.npy", "--preset", "transfer"))
-    lines = [line for line in said.splitlines() if "--preset transfer" in line]
-    assert code == 2 and len(lines) == 1 and "cloak zoo list" in lines[0]
-    code, _, said = cloak(capsys, *train("absent.npy"))
-    assert code == 2 and "--preset transfer" not in said
