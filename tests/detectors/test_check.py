@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.detectors.check import check_image, draw_boxes, plausibility, read_image, try_pixels
+from cloak_core.detectors.check import check_image, plausibility, read_image, try_pixels
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.files.errors import InputError
@@ -39,21 +39,6 @@ def test_what_the_detector_itself_reports(tmp_path: Path) -> None:
     assert low["reported"] > high["reported"] == 0 and not low["operating_point_assumed"]
 
 
-def test_reading_follows_orientation_and_mode(tmp_path: Path) -> None:
-    picture = Image.new("RGB", (40, 20), (255, 0, 0))
-    exif = picture.getexif()
-    exif[0x0112] = 6
-    picture.save(tmp_path / "turned.jpg", exif=exif)
-    assert read_image(tmp_path / "turned.jpg").shape == (3, 40, 20)
-    Image.new("L", (5, 4), 128).save(tmp_path / "grey.png")
-    assert read_image(tmp_path / "grey.png").unique().tolist() == pytest.approx([128 / 255])
-
-
-def test_drawing_stays_inside() -> None:
-    boxes = torch.tensor([[-50.0, -50.0, 500.0, 30.0, 0.9], [70.0, 10.0, 60.0, 5.0, 0.5]])
-    assert draw_boxes(images(1, 48, 80)[0], boxes).size == (80, 48)
-
-
 def test_bad_images_are_named(tmp_path: Path) -> None:
     whole = save(images(1, 200, 200)[0], tmp_path / "whole.jpg").read_bytes()
     file = tmp_path / "in.jpg"
@@ -63,12 +48,6 @@ def test_bad_images_are_named(tmp_path: Path) -> None:
         file.write_bytes(content)
         with pytest.raises(InputError, match=r"in.jpg: not a readable picture"):
             read_image(file)
-
-
-def test_out_is_checked_before_the_work(tmp_path: Path) -> None:
-    detector = load_detector(write_tiny(tmp_path))
-    with pytest.raises(InputError, match=r"give a .png or .jpg"):
-        check_image(detector, tmp_path / "none.png", out=tmp_path / "nowhere" / "x.png")
 
 
 BOXES = torch.tensor([[10.0, 10, 30, 50, 0.9], [60, 20, 80, 40, 0.5]])

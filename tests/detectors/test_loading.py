@@ -63,13 +63,6 @@ def test_darknet_is_frozen_and_in_image_pixels(tmp_path: Path) -> None:
     torch.testing.assert_close(small.scores, small.objectness)
 
 
-@pytest.mark.parametrize(("suffix", "cells"), [("", 8 * 8), ("@32", 4 * 4), ("@32x128", 4 * 16), ("@64,letterbox", 64)])
-def test_size_in_the_spec(suffix: str, cells: int, tmp_path: Path) -> None:
-    assert load_detector(write_tiny(tmp_path) + suffix)(images()).scores.shape == (2, 2 * cells)
-    # What is said beside the spec wins.
-    assert load_detector(write_tiny(tmp_path) + suffix, input_size=(32, 64))(images()).scores.shape == (2, 2 * 32)
-
-
 def test_letterbox_keeps_the_aspect_ratio(tmp_path: Path) -> None:
     detector = load_detector(write_tiny(tmp_path) + "@letterbox")
     wide = images(1, 64, 128)
@@ -118,19 +111,6 @@ def test_python_module(module: Path) -> None:
     torch.testing.assert_close(resized.boxes, found.boxes)
 
 
-@pytest.mark.parametrize(("function", "layout_kept"), [("Convolving", True), ("Viewing", False)])
-def test_python_module_channels_last_where_it_can(function: str, layout_kept: bool, module: Path) -> None:
-    """A module that takes views of its features gets the usual memory layout; the numbers are the same."""
-    spec = f"python:{module}:{function}"
-    detector, plain = load_detector(spec), load_detector(spec, fold=False)
-    before, batch = state_hash(detector), images(2, 40, 60)
-    for _ in range(2):
-        torch.testing.assert_close(detector(batch).scores, plain(batch).scores)
-    assert (detector.module.strides[1] == 1) == layout_kept
-    assert detector.module.kernel.is_contiguous() != layout_kept and state_hash(detector) == before
-    assert plain.module.strides[1] == 40 * 60
-
-
 @pytest.mark.parametrize(
     ("function", "message"),
     [
@@ -156,13 +136,3 @@ def test_state_hash_sees_everything(tmp_path: Path) -> None:
     assert state_hash(twin) != before
     detector.network.layers[0].train()
     assert state_hash(detector) != before
-
-
-def test_a_parameter_of_one_element_may_have_any_strides() -> None:
-    """YOLOX' exports hold such ones; they call themselves contiguous."""
-    plain, odd = (torch.nn.Module() for _ in range(2))
-    plain.register_buffer("scale", torch.ones(1))
-    odd.register_buffer("scale", torch.ones(1).as_strided((1,), (0,)))
-    assert state_hash(plain) == state_hash(odd)
-    plain.register_buffer("scale", torch.ones(()))
-    assert state_hash(plain) != state_hash(odd)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.detector.protocol import detector_record, state_hash
-from cloak_core.detectors.families import FAMILIES, list_families
+from cloak_core.core.detector.protocol import detector_record
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
 from cloak_core.detectors.onnx_family.model_file import read_model
@@ -135,11 +134,6 @@ def test_a_reshape_of_a_fixed_batch_is_run_image_by_image(tmp_path: Path, caplog
     assert bool((after < before).all())
 
 
-def test_a_batch_fixed_to_one(tmp_path: Path) -> None:
-    detector = load_detector(f"onnx:{Made().finished().save(tmp_path / 'one.onnx', batch=1)}")
-    assert detector.differentiable and len(detector(images(3, 90, 60)).scores) == 3
-
-
 def test_a_bias_that_is_a_constant_node(tmp_path: Path) -> None:
     made = Made()
     made.node("Constant", "", "offset", value=made.weights[2])
@@ -148,11 +142,6 @@ def test_a_bias_that_is_a_constant_node(tmp_path: Path) -> None:
     detector = load_detector(f"onnx:{made.save(tmp_path / 'constant.onnx')}")
     assert detector.differentiable
     close(detector, detector_session(tmp_path / "constant.onnx"))
-
-
-def test_half_precision_becomes_single(tmp_path: Path) -> None:
-    detector = load_detector(f"onnx:{Made(HALF).finished().save(tmp_path / 'half.onnx')}")
-    assert detector.differentiable and detector(images(2, SIDE, SIDE)).scores.dtype == torch.float32
 
 
 def test_integers_are_a_black_box(tmp_path: Path, caplog) -> None:
@@ -178,26 +167,6 @@ def test_what_is_wrong_in_torch_is_not_trained_against(path: Path, monkeypatch, 
         detector = load_detector(f"onnx:{path}")
     assert "converted to torch it answers otherwise than in onnxruntime" in caplog.text
     assert not detector.differentiable
-
-
-def test_the_check_is_made_once_for_each_content(path: Path, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "cache"))
-    load_detector(f"onnx:{path}")
-    from cloak_core.detectors.onnx_family import detector as module
-
-    monkeypatch.setattr(module, "compare", lambda *_: pytest.fail("compared again"))
-    path.rename(tmp_path / "moved.onnx")
-    assert load_detector(f"onnx:{tmp_path / 'moved.onnx'}").differentiable
-
-
-def test_what_the_file_says_counts(tmp_path: Path) -> None:
-    path = Made().finished().save(tmp_path / "said.onnx", sides=("height", "width"), imgsz="[96, 128]", conf="0.4")
-    detector = load_detector(f"onnx:{path}")
-    assert detector.input_size == (96, 128)
-    assert detector.operating_point == 0.4 and not detector.operating_point_assumed
-    assert load_detector(f"onnx:{path}@64").input_size == (64, 64)
-    own = load_detector(f"onnx:{path}@conf=0.3,64x96")
-    assert own.operating_point == 0.3 and own.input_size == (64, 96)
 
 
 def test_pixels_as_the_spec_says(path: Path) -> None:
@@ -254,21 +223,6 @@ def test_weights_outside_the_folder_are_not_read(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"m.data", b"../m.d"))
     with pytest.raises(InputError, match=r"keeps weights in \.\./m.d, outside its folder"):
         load_detector(f"onnx:{path}")
-
-
-def test_a_black_box_hashes_its_file(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(comparing, "SCORES", -1.0)
-    hashes = set()
-    for names in (NAMES, "{0: 'dog', 1: 'person'}"):
-        hashes.add(state_hash(load_detector(f"onnx:{Made().finished().save(tmp_path / 'm.onnx', names=names)}")))
-    assert len(hashes) == 2
-
-
-def test_the_list_names_every_family() -> None:
-    entries = list_families()["families"]
-    assert {entry["family"] for entry in entries} == set(FAMILIES)
-    assert {entry["family"] for entry in entries if not entry["trains"]} == {"openvino", "tflite"}
-    assert all(entry["installed"] == (entry["install"] is None) for entry in entries)
 
 
 def test_pixels_are_tried_where_nobody_says(path: Path, tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import torch
 
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.verification import verify
-from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, lowers_score
 
 onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
@@ -136,11 +135,6 @@ def test_what_changes_boxes_after_the_choice_is_read_as_the_file_answers(tmp_pat
     assert detector.differentiable and "chooses" in detector.partial_gradient
     found = detector(images(2, SIDE, SIDE))
     assert found.scores.shape == (2, KEPT) and detector.source["layout"] == "end2end"
-
-
-def test_another_layout_that_is_asked_for_is_not_cut(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="not laid out as nanodet"):
-        load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx')}:nanodet")
 
 
 @pytest.mark.long

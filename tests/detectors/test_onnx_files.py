@@ -144,30 +144,6 @@ def test_raw_heads_of_yolo(dimensions: int, tmp_path: Path) -> None:
     assert verify(detector, images(4, SIDE, SIDE))["failed"] == []
 
 
-def test_the_kit_asks_onnxruntime(tmp_path: Path) -> None:
-    path = Made().finished().save(tmp_path / "m.onnx")
-    detector = load_detector(f"onnx:{path}@conf=0.3")
-    report = verify(detector, images(5, SIDE, SIDE))
-    assert report["failed"] == [] and report["layout"] == "yolov8" and report["operating_point"] == 0.3
-    assert 0 < report["forward_ratio"] and report["parity_scores"] <= 1e-4 and report["parity_boxes_px"] <= 0.05
-    next(m for m in detector.modules() if isinstance(m, torch.nn.Conv2d)).weight.mul_(1.1)
-    assert verify(detector, images(4, SIDE, SIDE))["failed"] == ["parity"]
-    Made().finished().save(path, names="{0: 'dog', 1: 'person'}")
-    with pytest.raises(InputError, match=r"m\.onnx: changed since it was loaded"):
-        detector.original()
-
-
-def test_a_single_class_without_a_name_is_the_person(tmp_path: Path) -> None:
-    made = Made().finished()  # of its two classes the first is left
-    made.weight("five", np.array([5]), INT)
-    made.nodes[-1].output[0] = made.nodes[-1].name = "both"
-    made.node("Slice", "both from five axis", "output")
-    detector = load_detector(f"onnx:{made.save(tmp_path / 'm.onnx', names='')}")
-    assert detector.person == 0 and detector.class_names is None and detector(images(1)).other is None
-    with pytest.raises(InputError, match=r"no class 'person' among its 1 \(face\)"):
-        load_detector(f"onnx:{made.save(tmp_path / 'face.onnx', names=repr(['face']))}")
-
-
 def test_a_json_file_beside_it_says_names_person_and_more(tmp_path: Path) -> None:
     path = Made().finished().save(tmp_path / "m.onnx", names="")
     said = {
@@ -183,23 +159,6 @@ def test_a_json_file_beside_it_says_names_person_and_more(tmp_path: Path) -> Non
     assert (detector.pixels.bgr, detector.pixels.range, detector.pixels_assumed) == (True, 255.0, False)
     told = load_detector(f"onnx:{path}@rgb,range=255,person=vehicle,conf=0.5")
     assert told.person == 1 and not told.pixels.bgr and told.operating_point == 0.5
-
-
-@pytest.mark.parametrize("text", ["[1, 2]", "{", '{"classes": {"a": 1}, "person_class": true, "confidence": "high"}'])
-def test_another_programs_json_is_left_alone(text: str, tmp_path: Path) -> None:
-    path = Made().finished().save(tmp_path / "m.onnx")
-    path.with_suffix(".json").write_text(text)
-    detector = load_detector(f"onnx:{path}")
-    assert detector.class_names == ("cat", "person") and detector.operating_point_assumed and detector.pixels_assumed
-
-
-def test_a_classifier_is_called_one(tmp_path: Path) -> None:
-    made = Made()
-    made.weight("kernel", np.zeros((1000, 3, 64, 64)))
-    made.node("Conv", "images kernel", "grid")
-    made.node("Flatten", "grid", "output", axis=1)
-    with pytest.raises(InputError, match=r"m.onnx: not a detector: one output, output \[1, 1000\]"):
-        load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
 
 
 def test_a_loop_without_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from cloak_core.core.detector.protocol import detector_record, state_hash
-from cloak_core.detectors.foreign_code import culprit
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 
@@ -95,12 +94,6 @@ def test_what_running_it_runs_into(tmp_path: Path, old: str, new: str, line: int
         made(images())
 
 
-def test_no_gradient_is_asked_of_it_where_none_is_needed(tmp_path: Path) -> None:
-    made = detector(tmp_path, "images.mean", "images.detach().mean")
-    with torch.no_grad():
-        made(images())
-
-
 def test_scores_and_state_that_go_wrong_later_are_found_at_the_end(tmp_path: Path) -> None:
     late = detector(tmp_path, "[:, None]\n", "[:, None] * (5 if images.mean() > 0.9 else 1)\n")
     before = state_hash(late)
@@ -115,27 +108,6 @@ def test_scores_and_state_that_go_wrong_later_are_found_at_the_end(tmp_path: Pat
         changing.module.count.add_(1)
     with pytest.raises(InputError, match="changed its own parameters"):
         changing.verify(before)
-
-
-def test_no_box_at_all_leaves_a_gradient_of_zero(tmp_path: Path) -> None:
-    made = detector(tmp_path, "return boxes, scores", "return boxes[:, :0], torch.zeros(len(images), 0)")
-    batch = images()
-    made(batch).scores.sum().backward()
-    assert batch.grad is not None and not batch.grad.any()
-
-
-def test_an_error_in_its_backward_pass_is_its_own(tmp_path: Path) -> None:
-    mine = "class Back(torch.autograd.Function):\n"
-    mine += "    forward = staticmethod(lambda context, x: x.clone())\n"
-    mine += "    @staticmethod\n    def backward(context, slope):\n        raise KeyError('slope')\n\nclass Mine"
-    (tmp_path / "mine.py").write_text(
-        SOUND.replace("class Mine", mine).replace("scores = images.mean", "scores = Back.apply(images).mean")
-    )
-    made = load_detector(f"python:{tmp_path / 'mine.py'}:load")
-    with pytest.raises(KeyError) as raised:
-        made(images()).scores.sum().backward()
-    assert culprit(raised.value) == f"{made.spec}: {tmp_path / 'mine.py'}:9: KeyError: 'slope'"
-    assert culprit(ValueError("ours")) is None
 
 
 READS = {

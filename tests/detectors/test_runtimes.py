@@ -214,22 +214,9 @@ def test_what_integers_of_an_input_stand_for(dtype, quantization, pixels) -> Non
         assert np.abs(integers[0, 0, 0] - np.arange(bounds.min, bounds.max + 1)).max() <= 1
 
 
-def test_integers_of_an_output_become_real() -> None:
-    values = runtimes._real(np.array([0, 128, 255], np.uint8), {"quantization": (0.5, 128)})
-    assert values.tolist() == [-64, 0, 63.5] and values.dtype == np.float32
-    assert runtimes._real(np.array([3], np.int32), {"quantization": (0.0, 0)}).tolist() == [3]
-
-
 def test_class_names_packed_behind_the_network() -> None:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
         archive.writestr("labelmap.txt", "person\nbicycle\n\n")
     assert runtimes._labels(b"TFL3 weights" + packed.getvalue()) == ("person", "bicycle")
     assert runtimes._labels(b"TFL3 weights") is None
-
-
-def test_files_that_are_no_tflite(tmp_path: Path) -> None:
-    pytest.importorskip("ai_edge_litert", reason="pip install 'cloak-core[tflite]'")
-    (tmp_path / "a.tflite").write_bytes(b"not a network at all")
-    with pytest.raises(InputError, match=r"a.tflite: not a TFLite network"):
-        load_detector(f"tflite:{tmp_path / 'a.tflite'}")

@@ -5,13 +5,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from cloak_core.core.detector.protocol import state_hash
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.naming import full_spec, missing_file
+from cloak_core.detectors.naming import full_spec
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import split_spec
-from cloak_core.studies.report.words import short_name
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 
 
@@ -50,11 +48,6 @@ def test_a_drive_letter_parts_nothing(spec: str, parts: list[str]) -> None:
 )
 def test_detectors_on_windows_drives(spec: str, parts: list[str]) -> None:
     assert parse_spec(spec).parts == parts
-
-
-def test_short_names_leave_folders_out() -> None:
-    assert short_name(r"darknet:C:\dir\a.cfg:C:\dir\a.weights@224") == "darknet a @224"
-    assert short_name("jpeg=75:blur=1:darknet:/dir/a.cfg:/dir/a.weights") == "jpeg=75 blur=1 darknet a"
 
 
 def test_specs_are_taken_apart() -> None:
@@ -169,19 +162,6 @@ def test_a_file_with_a_typing_error_is_suggested(tmp_path: Path) -> None:
         load_detector("darknet:none.cfg:none.weights")
 
 
-def test_the_licence_of_the_extra_is_said_once(caplog: pytest.LogCaptureFixture, monkeypatch) -> None:
-    monkeypatch.setattr("cloak_core.detectors.naming._said", set())
-    full_spec("a.pt"), full_spec("b.pt")
-    assert caplog.text.count("AGPL-3.0") == 1
-    full_spec("ultralytics:a.pt")
-    assert caplog.text.count("AGPL-3.0") == 1
-
-
-def test_files_of_a_spec() -> None:
-    assert missing_file("jpeg=75:onnx:no.onnx@320") == Path("no.onnx")
-    assert missing_file("builtin") is None and missing_file("ultralytics:yolov8n.yaml") is None
-
-
 @pytest.mark.parametrize("suffix", ["", "@96", "@96,letterbox"])
 def test_a_spec_says_which_class_it_looks_for(suffix: str, spec: str) -> None:
     """So that a run's record loads the same detector again."""
@@ -192,34 +172,6 @@ def test_a_spec_says_which_class_it_looks_for(suffix: str, spec: str) -> None:
     assert again.spec == told.spec and again.person == told.person == 1
     assert torch.equal(again(images()).scores, told(images()).scores)
     assert load_detector(spec + suffix, person_class="0").person == 0
-
-
-def test_precision_is_automatic_only_where_it_gains(spec: str) -> None:
-    assert load_detector(spec, person_class="1", precision="auto").precision == "float32"
-    rough = load_detector(spec, person_class="1", precision="bfloat16")
-    exact = load_detector(spec, person_class="1")
-    found = rough(images())
-    assert found.scores.dtype == torch.float32 and not torch.equal(found.scores, exact(images()).scores)
-    torch.testing.assert_close(found.scores, exact(images()).scores, rtol=0, atol=0.02)
-
-
-def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    ran = []
-
-    def compile(function):
-        return lambda images: ran.append(len(images)) or function(images)
-
-    monkeypatch.setattr(torch, "compile", compile)
-    plain, compiled = (load_detector(spec, person_class="1", compiled=c) for c in (False, True))
-    assert torch.equal(compiled(images(3)).scores, plain(images(3)).scores)
-    assert ran == [3] and compiled.compiled and not plain.compiled and state_hash(compiled) == state_hash(plain)
-
-    def fail(images):
-        raise torch._inductor.exc.InvalidCxxCompiler
-
-    monkeypatch.setattr(torch, "compile", lambda function: fail)
-    with pytest.raises(InputError, match="--compile: torch cannot compile here"):
-        load_detector(spec, person_class="1", compiled=True)(images())
 
 
 def test_operating_points() -> None:

@@ -153,29 +153,6 @@ def test_a_checkpoint(small: Path, tmp_path: Path) -> None:
     assert not detector.training and not [p for p in detector.parameters() if p.requires_grad]
 
 
-@pytest.mark.slow
-def test_options_of_the_spec(small: Path) -> None:
-    detector = load_detector(f"ultralytics:{small}@64x128,person=dog,stretch,conf=0.4")
-    assert detector.input_size == (64, 128) and detector.person == 2 and not detector.letterbox
-    assert detector.operating_point == 0.4 and not detector.operating_point_assumed
-    found = detector(images(1, 50, 200))
-    assert found.scores.shape[1] == 8 * 16 + 4 * 8 + 2 * 4 and found.boxes.shape[-1] == 4
-    plain = load_detector(f"ultralytics:{small}@64x128,person=dog,stretch", fold=False)
-    assert [m for m in plain.modules() if isinstance(m, nn.BatchNorm2d)]
-    torch.testing.assert_close(plain(images(1, 50, 200)).scores, found.scores, atol=1e-6, rtol=1e-3)
-
-
-@pytest.mark.slow
-def test_random_weights_are_the_same_each_time() -> None:
-    torch.manual_seed(5)
-    before = torch.get_rng_state()
-    first, second = (load_detector("ultralytics:yolov8n.yaml@64") for _ in range(2))
-    assert detector_record(first) == detector_record(second) and torch.equal(torch.get_rng_state(), before)
-    assert first.person == COCO.index("person")
-    other = load_detector("ultralytics:yolov8s.yaml@64")
-    assert sum(p.numel() for p in other.parameters()) > 2 * sum(p.numel() for p in first.parameters())
-
-
 def test_a_description_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text(
@@ -217,13 +194,6 @@ def test_a_file_of_any_family(name: str, tmp_path: Path) -> None:
     found = detector(batch)  # classes that are but numbers: 80 are COCO's, one of a pose network a person
     torch.testing.assert_close(found.scores[:, : scores.shape[1]], scores, atol=1e-5, rtol=2e-3)
     torch.testing.assert_close(found.boxes[:, : scores.shape[1]], boxes, atol=2e-3, rtol=1e-3)
-
-
-def test_the_first_layer_of_early_yolov9_files() -> None:
-    architecture = read_architecture("yolov9t.yaml")
-    layers = [[-1, 1, "Silence", []], [-1, 1, "Conv", [8, 3, 2]]]
-    own = architecture | {"backbone": layers, "head": [[[1], 1, "Detect", ["nc"]]]}
-    assert type(build(own, "a.yaml").model[0]) is nn.Identity and layers[0][2] == "Silence"
 
 
 BAD = {

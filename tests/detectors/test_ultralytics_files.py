@@ -15,7 +15,6 @@ import pytest
 import torch
 from torch import nn
 
-from cloak_core.detectors import families
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, lowers_score
@@ -139,15 +138,6 @@ def test_pickles_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         load_detector(f"ultralytics:{tmp_path / 'v.pt'}")
 
 
-@pytest.mark.slow
-def test_an_activation_that_the_package_no_longer_builds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = original(monkeypatch)
-    model.model[0].act = nn.Hardswish()
-    torch.save({"model": model}, tmp_path / "old.pt")
-    with pytest.raises(InputError, match=r"model\.0\.act is Hardswish in the file, SiLU in .*: written by a version"):
-        load_detector(f"ultralytics:{tmp_path / 'old.pt'}")
-
-
 class Evil:
     def __reduce__(self) -> tuple:
         return os.system, ("touch ran",)
@@ -197,20 +187,6 @@ def test_checkpoints_that_are_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     refused(None, "not a whole file of torch.save")
     Path("a.pt").unlink()
     refused(None, "a.pt: no such file")
-
-
-def test_a_whole_model_saved_alone(tmp_path: Path) -> None:
-    torch.save(small(names=["person", "cat"]), tmp_path / "a.pt")
-    detector = load_detector(f"ultralytics:{tmp_path / 'a.pt'}@32")
-    assert detector(images(1)).scores.shape == (1, 16 * 16) and detector.person == 0
-
-
-def test_the_licence_is_named_where_it_is_offered(monkeypatch: pytest.MonkeyPatch) -> None:
-    (row,) = [row for row in families.list_families()["families"] if row["family"] == "ultralytics"]
-    assert "AGPL-3.0" in row["licence"] and row["trains"] and row["installed"]
-    monkeypatch.setattr(families.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"package ultralytics \(AGPL-3\.0\): pip install 'cloak-core\[ultralytics\]'"):
-        load_detector("ultralytics:a.pt")
 
 
 ALONE = """
