@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -184,16 +183,6 @@ def test_what_does_not_hold_is_one_line(
         main(["leaderboard", "add", str(folder / "card.json"), "--to", str(tmp_path / "board")])
     words = capsys.readouterr().err.replace("\n", " ")
     assert said in words and not (tmp_path / "board").exists()
-
-
-@pytest.mark.slow
-def test_the_images_are_those_of_the_size(cards: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows of fewer images than the size has, whatever its counts say."""
-    larger = replace(TINY, images_per_view=2, bare=3)
-    monkeypatch.setitem(SIZES, "tiny", larger)
-    change(cards / "glow", "card['counts'] |= {'images_per_view': 2, 'bare': 3}")
-    with pytest.raises(InputError, match=r"clean.0.npz: bare scenes: \[0, 1, 2, 3\]"):
-        read_entry(cards / "glow")
 
 
 @pytest.mark.slow

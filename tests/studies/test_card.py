@@ -6,11 +6,9 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
 from cloak_core.cli import main
 from cloak_core.commands.assess import Assess
@@ -22,12 +20,10 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies import store, training_store
 from cloak_core.studies.card import words
 from cloak_core.studies.card.assess import Assessment
-from cloak_core.studies.card.leaderboard import folder_names, gather, leaderboard_row, write_leaderboard
+from cloak_core.studies.card.leaderboard import gather, leaderboard_row, write_leaderboard
 from cloak_core.studies.card.page import write_card, write_comparison
-from cloak_core.studies.card.protocol import AREAS, FULL, QUICK, SIZES, STANDARD, Part, nested_areas, parts_of
-from cloak_core.studies.card.work import Work
-from cloak_core.studies.pace import Pace, measured_pace
-from cloak_core.studies.report import page as page_module
+from cloak_core.studies.card.protocol import AREAS, QUICK, Part, nested_areas
+from cloak_core.studies.pace import Pace
 from tests.schemas import validate
 from tests.studies.made_cards import TINY, Glow, make_store
 
@@ -142,22 +138,6 @@ def test_areas_are_nested_and_as_large_as_asked() -> None:
 
 
 @pytest.mark.slow
-def test_another_size_takes_its_own_time(made: tuple[Path, dict, list], tmp_path: Path) -> None:
-    shutil.copy(made[0] / "glow/spent.json", tmp_path)
-    store = make_store(tmp_path, Glow("glow"))
-    seconds = lambda size: Assessment(store, size, tmp_path, ["builtin-sample"]).work().seconds
-    assert seconds(TINY) > 0 == seconds(replace(TINY, steps=3))
-
-
-def test_no_size_makes_an_attack_that_is_too_short() -> None:
-    told = {"made": {"seed": 0}, "materials": {"unseen": {"poses": ["standing"]}}, "differentiable": True}
-    for size in SIZES.values():
-        trained = [part for part in parts_of(told | {"black_box": {"zoo": []}, "patterns": []}, size) if part.steps]
-        assert trained and all(words.state_of_attack(part, "") == "measured" for part in trained), size.name
-    assert QUICK.steps < STANDARD.steps < FULL.steps and STANDARD.areas == FULL.areas == AREAS
-
-
-@pytest.mark.slow
 def test_cloaks_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
     """A network's sums do: cloaks trained on as many threads as there are would differ, and with them the figures."""
     colors = {}
@@ -166,22 +146,6 @@ def test_cloaks_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
         with torch_threads(threads):
             colors[threads] = assessment._train(Part("circle", steps=4))[0].pattern.colors
     assert np.array_equal(colors[1], colors[3])
-
-
-def test_the_time_is_told_from_a_measured_pace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0, 9, 0.0, 0.2, 0, 9, 1.0, 1.6])
-    monkeypatch.setattr("cloak_core.studies.pace.time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    threads = []
-    glow = Glow("glow")
-    glow.register_forward_pre_hook(lambda *_: threads.append(torch.get_num_threads()))
-    with torch_threads(2):
-        pace = measured_pace(glow, 32, gradient_threads=1)
-    assert (pace.forward, pace.gradient) == pytest.approx((0.1, 0.3)) and threads == [2, 2, 1, 1]
-    work = Work({"attack": (300.0, 0.0), "look": (0.0, 50.0)}, tmp_path / "spent.json", "this")
-    assert work.seconds_left(pace) == pytest.approx(100 * 0.3 + 50 * 0.1)
-    with work.part("look"):
-        pass
-    assert work.seconds_left(pace) == pytest.approx(100 * 0.3)
 
 
 @pytest.mark.slow
@@ -199,11 +163,6 @@ def test_minutes_take_the_largest_size_that_fits_or_none(tmp_path: Path, monkeyp
         replace(command, minutes=5.0)._choose("glow", Glow("glow"), tmp_path / "glow", None, ())
 
 
-def test_names() -> None:
-    names = folder_names(("builtin", "builtin@conf=0.3", "onnx:a/net.onnx", "onnx:b/net.onnx"))
-    assert names["builtin"] == "builtin" and len(set(names.values())) == 4
-
-
 @pytest.mark.parametrize("size", [["--quick", "--full"], ["--size", "full", "--minutes", "3"], []])
 def test_bad_options_are_one_line(size: list[str], tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit, match="2"):
@@ -213,12 +172,6 @@ def test_bad_options_are_one_line(size: list[str], tmp_path: Path, capsys: pytes
 
 
 S = {"success": 0.3, "renamed_own": None, "gone_own": None, "named_own": None, "state": "measured"}
-WORN = {"made against it": 0.4, "texture@tile=0.5": 0.7, "clothing": 0.1, "grey": 0.9}
-PEOPLE = {
-    "people": 9,
-    "left_out": {},
-    "rows": {name: S | {"success_own": own, "ci95_own": [own, own]} for name, own in WORN.items()},
-}
 
 
 def short_card(**changes: object) -> dict:
@@ -233,36 +186,6 @@ def short_card(**changes: object) -> dict:
 
 def hiding(row: dict, share: float, state: str = "measured") -> dict:
     return row | {"success_own": share, "ci95_own": [share, share], "state": state}
-
-
-def test_photographs_and_renders_have_a_line_each_and_one_number() -> None:
-    """A weak cloak in photographs does not speak for a detector that another's cloak hides people from."""
-    card = short_card(photographs=PEOPLE | {"rows": {n: hiding(r, 0.0) for n, r in PEOPLE["rows"].items()}})
-    card["black_box"] = {"zoo": [hiding(card["black_box"]["zoo"][0], 0.67)]}
-    photographed, rendered = words.lines(card)
-    assert photographed["said"] == "In photographs, a cloak made against it hides 0 % of people from builtin."
-    assert rendered["said"].startswith("On rendered bodies, others, made against other detectors, hides 67 % of people")
-    assert (photographed["value"], rendered["value"]) == ("0 %", "67 %") and words.verdict(card)[0] == "bad"
-    assert words.headline(card).startswith(f"{photographed['said']} {rendered['said']} In photographs nobody wore that")
-
-
-@pytest.mark.parametrize(
-    ("render", "photograph", "said"),
-    [
-        (0.99, [0.0, 0.0, 0.09], "hides 0 % (95 % interval 0 – 9 %): what hides on renders does not hide there."),
-        (0.5, [0.4, 0.3, 0.6], "hides 40 % (95 % interval 30 – 60 %): within their intervals the two agree."),
-        (0.5, None, "Nobody in photographs was shown"),
-    ],
-)
-def test_the_card_says_what_renders_are_worth_in_photographs(render: float, photograph: list | None, said: str) -> None:
-    card = short_card()
-    card["white_box"] = [hiding(card["white_box"][0], render)]
-    if photograph is not None:
-        made = PEOPLE["rows"]["made against it"] | {"success_own": photograph[0], "ci95_own": photograph[1:]}
-        card["photographs"] = PEOPLE | {"rows": PEOPLE["rows"] | {"made against it": made}}
-    assert said in words.relation(card) and words.headline(card).endswith(words.relation(card))
-    assert len(words.lines(card)) == 1 + (photograph is not None)
-    assert words.relation(short_card(white_box=[])) == "Nobody attacked it who has the network."
 
 
 def test_one_rule_says_how_sure_a_figure_is_everywhere() -> None:
@@ -283,50 +206,3 @@ def test_one_rule_says_how_sure_a_figure_is_everywhere() -> None:
     (missing,) = [tile for tile in words.tiles(card) if "all around" in tile["what"]]
     assert (missing["value"], missing["state"]) == ("–", "not measured")
     assert "short of the protocol" in words.advice(card)
-
-
-def test_advice_names_hardening_only_where_it_is() -> None:
-    bad = short_card()
-    bad["white_box"] = [hiding(bad["white_box"][0], 0.9)]
-    assert "harden it (cloak harden builtin)" in words.advice(bad)
-    assert "cloak harden" not in words.advice(bad | {"spec": "tflite:net.tflite"})
-    assert "cloak harden" not in words.advice(bad | {"spec": "jpeg=75:builtin"})
-    assert "without any attack" in words.advice(bad | {"clean": bad["clean"] | {"recall_own": 0.5}})
-
-
-@pytest.mark.slow
-def test_photographs_come_before_renders(worn: Path, tmp_path: Path) -> None:
-    folder = shutil.copytree(worn / "glow", tmp_path / "glow")
-    card = json.loads((folder / "card.json").read_text())
-    page = write_card(folder).read_text("utf-8")
-    assert page.index("What to do") < page.index("For engineers") < page.index("People in photographs")
-    assert "Published patterns" in page and "Article 15(5)" in page
-    head = (folder / "model_card.md").read_text().split("---\n")[1].splitlines()
-    front = {key: json.loads(value) for key, _, value in (line.partition(": ") for line in head)}
-    metrics = {metric["name"]: metric for metric in front["model-index"][0]["results"][0]["metrics"]}
-    shown = metrics["hidden in photographs, white@tile=0.5"]
-    assert shown["value"] == card["photographs"]["rows"]["white@tile=0.5"]["success_own"]
-    assert shown["args"] == {"state": "measured"} and front["pipeline_tag"] == "object-detection"
-
-
-def test_a_score_at_the_threshold_is_not_rounded_up_to_it() -> None:
-    macro = page_module._environment().get_template("macros.html").module.verdict
-    assert "no person (best 0.39)" in macro({"found": [(0, False, 0.3999)]}, ["glow"])
-
-
-def test_progress_counts_what_was_done_and_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[float] = []
-    work = Work({"a": (60.0, 40.0), "b": (0.0, 100.0)}, tmp_path / "spent.json", "x", lambda _, d, n: told.append(d), 2)
-    with work.part("a"):
-        for step in (1, 2):
-            work.on_event({"type": "start", "steps": 2})
-            work.on_event({"type": "step", "step": step})
-            work.on_event({"type": "end"})
-        for done in (10, 20, 10, 20):  # two evaluations of twenty images
-            work.on_images(done, 20)
-    with pytest.raises(KeyboardInterrupt), work.part("b"):
-        work.on_images(25, 100)
-        raise KeyboardInterrupt
-    assert told == [0, 15, 60, 70, 80, 90, 100, 100, 100, 125] and work.total == 200
-    spent = json.loads((tmp_path / "spent.json").read_text())
-    assert spent["done"] == ["a"] and spent["seconds"].keys() == {"a", "b"}

@@ -8,31 +8,11 @@ import pytest
 from PIL import Image
 
 from cloak_core.commands.wear import expanded
-from cloak_core.core.geometry import face_centres, face_normals
-from cloak_core.core.logo import Cover
-from cloak_core.exchange.cloth import cloth_coordinates
 from cloak_core.files.errors import InputError
-from cloak_core.patterns.cloth import ClothPattern
-from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.protocol import GREY_HEAD, HEADS
 from cloak_core.studies.card.words import worn_rows
 from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
-from tests.sources.photographs.made_people import write_people
-from tests.studies.made_cards import TINY, Glow, make_store
-
-
-def test_a_picture_repeats_as_cloth() -> None:
-    picture = np.zeros((40, 80, 3), np.uint8)
-    picture[:, 40:, 0] = 255  # the right half is red
-    bodies, faces = sample_bodies("unseen"), np.arange(0, 2000, 7)
-    cloth = ClothPattern.of_picture(Cover(faces, bodies.topology), picture, 0.4, bodies=bodies)
-    under, mean = (cloth.on_faces(cloth.colors, is_exact) for is_exact in (True, False))
-    right = cloth_coordinates(face_centres(bodies)[faces], face_normals(bodies)[faces])[:, 0] % 0.4
-    assert np.array_equal(under[:, 0], right >= 0.2) and not mean[:, 1:].any()
-    assert 0.9 < ((mean[:, 0] > 0.5) == (right >= 0.2)).mean() and ((mean > 0.1) & (mean < 0.9)).any()
 
 
 @pytest.mark.slow
@@ -48,13 +28,6 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(wor
     assert [rows[name]["state"] for name in shown] == ["at least", "measured", "measured", "measured"]
     assert rows["clothing"]["success_05"] is not None and rows["clothing"]["masr"] is not None
     assert list(rows)[4:7] == [*HEADS, GREY_HEAD] and list(worn_rows(card)) == shown, "no headline of covered heads"
-
-
-def test_a_size_takes_the_first_people_of_a_file(tmp_path: Path) -> None:
-    people = load_people(str(write_people(tmp_path / "people", 4)))
-    one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people)
-    assert len(one.people) == TINY.people == 3
-    assert one.costs(4.0)["people"] == (0.0, 4 * 3 * (3 + 3 + 3))
 
 
 TABLE = """

@@ -13,7 +13,6 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.files.errors import InputError
 from cloak_core.patterns.controls import STRIPE, controls
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.source import BodySource
@@ -92,10 +91,3 @@ def test_random_colors_depend_on_seed_and_image_alone() -> None:
     assert torch.equal(drawn(pattern, 5), drawn(pattern, 5))
     assert not torch.equal(drawn(pattern, 5), drawn(pattern, 6))
     assert not torch.equal(drawn(pattern, 5), drawn(other, 5)) and pattern.identity != other.identity
-
-
-def test_a_control_that_is_not_there_is_named_with_those_that_are() -> None:
-    with pytest.raises(InputError, match=r"'plaid': there are clothing, .*checks$"):
-        worn("plaid")
-    with pytest.raises(InputError, match=r"'stripes': there are clothing, grey, random, resampled$"):
-        controls(("stripes",), FacePattern(Cover(np.arange(2), "people")))

@@ -51,13 +51,6 @@ def covered(people: People, logo: str) -> set[int]:
     return set(cover.face_ids[face[face >= 0]].tolist())
 
 
-def test_a_hood_covers_more_and_leaves_the_eyes(people: People) -> None:
-    body = sample_bodies()
-    hood, head = (covered(people, f"{CLOTHES}+{name}") for name in ("hood", "head"))
-    clothes = covered(people, CLOTHES)
-    assert clothes < hood < head and hood - clothes <= set(np.flatnonzero(body.regions["hood"]).tolist())
-
-
 @pytest.mark.parametrize("where", ["people", "bodies"])
 def test_evaluate_judges_a_cloth_where_it_is_told(people: People, tmp_path: Path, where: str) -> None:
     run = entry("transfer-people").write_run(tmp_path / "run")

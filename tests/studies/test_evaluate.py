@@ -1,7 +1,6 @@
 """Evaluation end to end on small images: real bodies, real renders, detectors that look for something simple."""
 
 import json
-import logging
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import Logo, make_logo, select_region
-from cloak_core.core.paint import compose
 from cloak_core.core.pattern import Pattern
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -144,24 +142,6 @@ def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> N
     assert torch.allclose(images.render(every, nothing), made["clothing"], atol=1e-5)
 
 
-def test_controls_are_painted_onto_one_canvas(bodies: Bodies, logo: Logo) -> None:
-    """A batch's bodies and backgrounds are composed once for all controls; the pixels are those composed anew."""
-    shown = show(in_green(logo), bodies)
-    images, every, count = shown.images, list(range(len(shown.images.trials))), len(logo)
-    views = images.views(every, shown.patterns["logo"])
-    outfit = images.trials["outfit"].to_numpy()
-    each = {
-        "logo": np.stack([shown.patterns["logo"].colors] * len(every)),
-        "clothing": bodies.face_colors[outfit][:, logo.face_ids],
-        "grey": np.full((len(every), count, 3), 0.5, np.float32),
-        "random": np.stack([np.random.default_rng([SMALL.seed, i]).random((count, 3), np.float32) for i in every]),
-    }
-    for control, made in zip(each, images.compose(every, [shown.patterns[c] for c in each]), strict=True):
-        behind = images.bare(images.trials["background"].to_numpy())
-        anew = compose(views, torch.from_numpy(each[control]), behind, images.shifts(every))
-        assert (made - anew).abs().max() <= 1e-6
-
-
 @pytest.mark.slow
 def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) -> None:
     shown = show(in_green(logo), bodies)
@@ -194,24 +174,6 @@ def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path
     assert not [*tmp_path.glob("*.new"), *tmp_path.glob("*.old")]
 
 
-@pytest.mark.slow
-def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
-    judged(in_grey(logo), bodies, out=tmp_path / "evaluation")
-    stored = read_evaluation(tmp_path / "evaluation")
-    failures = stored.pictures["failures"]["spec"]
-    assert len(failures) == 6
-    assert all(shot["logo"]["boxes"]["spec"] for shot in failures)
-
-
-def test_overlap_with_training_is_said(bodies: Bodies, logo: Logo, caplog: pytest.LogCaptureFixture) -> None:
-    config = {"scene": {"pose_sha256": list(bodies.pose_hashes[:1])}, "backgrounds": {"identities": ["other"]}}
-    with caplog.at_level(logging.WARNING, "cloak"):
-        result = evaluate(show(in_green(logo), bodies, training=config), {"spec": GreenBlind()}, SMALL)
-    assert result["unseen"] == {"bodies": False, "backgrounds": True}
-    assert len(result["warnings"]) == 1 and bodies.names[0] in result["warnings"][0]
-    assert bodies.names[0] in caplog.text
-
-
 def test_what_does_not_fit_is_refused(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
     worn = in_green(logo)
     with pytest.raises(InputError) as error:
@@ -229,20 +191,6 @@ def test_what_does_not_fit_is_refused(bodies: Bodies, logo: Logo, tmp_path: Path
     with pytest.raises(InputError, match="left alone"):
         judged(worn, bodies, out=tmp_path)
     assert (tmp_path / "precious.txt").exists()
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"images_per_view": 0}, "--images-per-view: 0"),
-        ({"threshold": 1.0}, "--threshold: 1.0"),
-        ({"shift": 32}, "--shift: 32"),
-        ({"distances": (0.0,)}, "--distances"),
-    ],
-)
-def test_bad_settings_name_their_option(change: dict, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        replace(SMALL, **change)
 
 
 def test_a_detector_that_changes_is_a_defect(bodies: Bodies, logo: Logo) -> None:

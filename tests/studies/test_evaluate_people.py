@@ -16,11 +16,9 @@ from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.library import evaluate, train
 from cloak_core.products.run_report import make_report
-from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.evaluate import read_evaluation
-from cloak_core.studies.opening import open_run, snapshot_pattern
 from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
 from cloak_core.studies.trainings.run_record import _people
 from cloak_core.zoo.entry import entry, write_entry
@@ -73,14 +71,6 @@ def test_photographs_that_look_like_trained_ones_are_not_called_unseen(path: Pat
     assert seen == {"photographs": None} and "saved.jpg like made0.png" in warnings[0]
 
 
-def test_names_alone_do_not_tell_what_is_unseen(path: Path) -> None:
-    config = {"people": {"photographs": ["elsewhere.jpg"], "licences": [""]}}
-    seen, warnings = photographs_seen_in_training(config, load_people(path))
-    assert seen == {"photographs": None} and "does not record its training photographs" in warnings[0]
-    assert photographs_seen_in_training({"people": None, "format": "cloak run"}, []) == ({"photographs": True}, [])
-    assert photographs_seen_in_training(None, []) == ({"photographs": None}, [])
-
-
 def test_a_copied_onnx_file_is_a_white_box(tmp_path: Path) -> None:
     from tests.detectors.test_onnx import Made  # skips where there is no onnx
 
@@ -92,17 +82,6 @@ def test_a_copied_onnx_file_is_a_white_box(tmp_path: Path) -> None:
     known, copy = load_detector(f"onnx:{path}"), load_detector(f"onnx:{tmp_path / 'renamed.onnx'}")
     config = {"detectors": [{"spec": known.spec} | detector_record(known)]}
     assert trained_against(config, {copy.spec: copy}) == {copy.spec: True}
-
-
-def test_a_copied_file_without_weights_of_ours_is_a_white_box_at_any_size(tmp_path: Path) -> None:
-    class BlackBox(RedDetector):
-        def __init__(self, digest: str, size: int) -> None:
-            super().__init__()
-            self.source = {"file": digest, "input_size": [size, size], "person": 0}
-
-    config = {"detectors": [{"spec": "onnx:a.onnx"} | detector_record(BlackBox("a", 320))]}
-    judged = {"onnx:copy.onnx": BlackBox("a", 416), "onnx:other.onnx": BlackBox("b", 320)}
-    assert trained_against(config, judged) == {"onnx:copy.onnx": True, "onnx:other.onnx": False}
 
 
 def test_a_run_is_judged_on_people_and_reported(run: Path, path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -137,16 +116,6 @@ def test_a_run_is_judged_on_people_and_reported(run: Path, path: Path, caplog: p
     assert again["detectors"]["builtin"]["logo"]["mean_score"] != rates["logo"]["mean_score"]
 
 
-def test_photographs_stand_before_renders_in_the_report(run: Path, path: Path) -> None:
-    evaluate(
-        run, "sample:unseen[0:1]", "procedural:test:2", angles="0", images_per_view=1, bare=1, size=128, resamples=100
-    )
-    evaluate(run, people=path, **HOW)
-    text = make_report(run).read_text("utf-8")
-    assert 0 < text.index("On photographs:") < text.index("On renders:") < text.index("On people in photographs")
-    assert text.index("On people in photographs") < text.index("Clean and cloaked")
-
-
 @pytest.mark.long
 def test_other_colours_printers_and_snapshots_are_judged_on_people(run: Path, path: Path, tmp_path: Path) -> None:
     grey = np.full((len(read_colors(run / "colors.npy")), 3), 0.5, np.float32)
@@ -173,25 +142,6 @@ def test_other_colours_printers_and_snapshots_are_judged_on_people(run: Path, pa
     assert worn["detectors"]["builtin"]["logo"]["mean_score"] == pytest.approx(
         plain["detectors"]["builtin"]["logo"]["mean_score"], abs=0.02
     )
-
-
-def test_snapshots_of_a_cloth_are_judged_as_fine_as_the_cloth(path: Path, tmp_path: Path) -> None:
-    # What was trained last is what the run wears, so the curve ends at the evaluation's own figures.
-    how = {"steps": 2, "batch": 1, "samples": 1, "tv_weight": 0.0, "initial": "balls", "pattern": "tile"}
-    how |= {"tile_cm": 25.0, "feature_cm": 0.5, "preview_every": 0, "snapshot_every": 1}
-    run = train(None, people=path, logo="shirt+trousers", detectors=["builtin"], out=tmp_path / "run", **how).out
-    said = evaluate(run, people=path, over_time=True, controls=("grey",), **HOW)
-    rates, last = said["detectors"]["builtin"], said["over_time"][-1]["detectors"]["builtin"]
-    assert last == {key: rates["logo"][key] for key in last}
-    shown, config = run / "snapshots" / "step-00000002.png", json.loads((run / "config.json").read_text())
-    worn, on_bodies = (open_run(run, config, None, bodies)[0] for bodies in (None, sample_bodies("unseen")))
-    snapshot = snapshot_pattern(run, shown.with_suffix(".npy"), worn.cover)
-    assert shown.read_bytes() == (run / "cloth.png").read_bytes()
-    assert snapshot.identity == worn.identity == on_bodies.identity
-    # An earlier version kept the faces' colours alone, which hide less than the cloth.
-    shown.unlink()
-    with pytest.raises(InputError, match=r"step-00000002\.png: no such file: .* earlier version"):
-        evaluate(run, people=path, over_time=True, controls=("grey",), **HOW)
 
 
 REFUSED = {

@@ -11,7 +11,6 @@ from PIL import Image
 from torch import Tensor
 
 from cloak_core.cli import main
-from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import EvaluateSettings, FilmSettings
 from cloak_core.core.logo import Logo, load_logo
@@ -21,12 +20,11 @@ from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies import videos
-from cloak_core.sources.bodies.people.clothed import clothed_bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.videos import read_frames, save_film
-from cloak_core.studies.film import approaches, camera_path, film_images, make_film, usual_pace, write_turntable
+from cloak_core.studies.film import approaches, camera_path, make_film, write_turntable
 from cloak_core.studies.imagery import drawn_images
-from cloak_core.studies.statistics_film import longest_run, track
+from cloak_core.studies.statistics_film import track
 
 SIZE = 48
 
@@ -79,16 +77,6 @@ def film(logo: Logo, white: Backgrounds, out: Path, detector: Detector | None = 
     return make_film(green, bodies, white, {detector.spec: detector}, out, asked)
 
 
-def test_paths_end_where_they_should() -> None:
-    orbit = camera_path(chosen(camera="orbit", fps=10, seconds=2, turns=-1), 3)
-    assert len(orbit) == 20 and orbit["azimuth"].iloc[[0, -1]].tolist() == [0, -342] and not approaches(orbit)
-    approach = camera_path(chosen(camera="approach", far=8, near=2, fps=10, seconds=2), 3)
-    assert approach["distance"].iloc[[0, -1]].tolist() == [8, 2] and approaches(approach)
-    assert len(camera_path(chosen(fps=10), 7)) == 7  # once through the poses
-    assert len(camera_path(chosen(fps=10, poses_per_second=2), 7)) == 35
-    assert len(camera_path(chosen(fps=10, camera="orbit"), 7)) == 40
-
-
 def test_keyframes_are_joined_by_lines(tmp_path: Path) -> None:
     keys = tmp_path / "path.csv"
     keys.write_text("\ufefftime, distance,Azimuth\n0,8,0\n1,4,90\n2,4,\n")
@@ -135,11 +123,6 @@ def test_crossing_boxes_keep_to_their_nearest_track() -> None:
     assert [one.boxes[7] for one in two] == [0, 1]
 
 
-def test_longest_run() -> None:
-    assert longest_run(np.array([1, 1, 0, 1, 1, 1, 0], bool)) == 3
-    assert longest_run(np.zeros(4, bool)) == 0 and longest_run(np.ones(4, bool)) == 4
-
-
 @pytest.mark.slow
 def test_a_film_counts_what_the_detector_sees(logo: Logo, white: Backgrounds, tmp_path: Path) -> None:
     told = film(logo, white, tmp_path / "film")
@@ -159,18 +142,6 @@ def test_a_film_counts_what_the_detector_sees(logo: Logo, white: Backgrounds, tm
     assert green[:, SIZE + 2 :].sum() > 20 > green[:, :SIZE].sum()  # the cloak is on the right
 
 
-def test_a_film_says_what_stands_there_instead(logo: Logo, white: Backgrounds, tmp_path: Path) -> None:
-    told = film(logo, white, tmp_path / "film", detector=NoGreen(finds_kites=True))
-    assert (told["hidden"], told["renamed"], told["gone"]) == (1.0, 1.0, 0.0)
-    cloaked, clothed = told["detectors"]["nogreen"]["logo"], told["detectors"]["nogreen"]["clothing"]
-    assert cloaked["named"] == {"kite": 5} and cloaked["renamed_own"] == 1.0
-    assert (clothed["renamed"], clothed["gone"], clothed["named"]) == (0.0, 0.0, {})
-    by_frame = json.loads((tmp_path / "film/film.json").read_text())["by_frame"]
-    assert by_frame[0]["detectors"]["nogreen"]["logo"]["other_name"] == "kite"
-    silent = film(logo, white, tmp_path / "silent")
-    assert silent["renamed"] is None and silent["gone"] is None
-
-
 def test_first_sight_is_the_distance_of_the_first_frame_that_sees(
     logo: Logo, white: Backgrounds, tmp_path: Path
 ) -> None:
@@ -182,37 +153,6 @@ def test_first_sight_is_the_distance_of_the_first_frame_that_sees(
     assert told["first_sight_m"] is None and told["detectors"]["nogreen"]["logo"]["never_seen"] == 1
     with Image.open(tmp_path / "film.gif") as gif:
         assert gif.n_frames == 10 and gif.info["duration"] == 200 and gif.info["loop"] == 0
-
-
-def test_several_takes_are_counted_one_by_one(logo: Logo, white: Backgrounds, tmp_path: Path) -> None:
-    told = film(logo, white, tmp_path / "film", angles=(0.0, 120.0, 240.0), seconds=0.6)
-    assert (told["frames"], told["takes"]) == (9, 3)
-    clothed = told["detectors"]["nogreen"]["clothing"]
-    assert (clothed["longest_run"], clothed["tracks"], clothed["tracked_takes"]) == (3, 3, 3)
-    assert clothed["ci95"][0] == 0 and told["detectors"]["nogreen"]["logo"]["ci95"][1] == 1
-    assert len(list((tmp_path / "film").glob("*.png"))) == 3  # the first take
-
-
-def test_frames_without_the_body_count_for_nothing(logo: Logo, white: Backgrounds, tmp_path: Path) -> None:
-    keys = tmp_path / "away.csv"
-    keys.write_text("time,distance\n0,2.2\n0.9,2.2\n0.99,400\n2,400\n")
-    told = film(logo, white, tmp_path / "film", camera=str(keys), seconds=2.0)
-    assert told["left_out"] == 5 and told["detectors"]["nogreen"]["clothing"]["n"] == 5
-    assert told["detectors"]["nogreen"]["clothing"]["hidden"] == 0
-
-
-def test_the_camera_stays_or_follows(logo: Logo, white: Backgrounds) -> None:
-    bodies = sample_bodies("unseen").select_poses([0, 1])
-
-    def viewpoint(**more: object) -> Camera:
-        settings = chosen(fps=1, seconds=2, size=SIZE, **more)
-        path = camera_path(settings, 2)
-        return film_images(bodies, white, path, settings, {"logo": OwnClothing(logo)}).source.viewpoint
-
-    assert viewpoint(follow=False).pivot is not None
-    assert viewpoint(follow=True).pivot is None, "each pose is looked at"
-    with pytest.raises(InputError, match="--outfit: there is no outfit 99"):
-        viewpoint(outfit=99)
 
 
 def test_a_video_holds_what_was_put_in(tmp_path: Path) -> None:
@@ -283,11 +223,3 @@ def test_the_command_says_what_the_contract_promises(tmp_path: Path, capsys: pyt
     with pytest.raises(SystemExit, match="2"):
         main([*words, "1", "--out", str(out)])
     assert "exists already" in capsys.readouterr().err
-
-
-def test_single_poses_are_held_and_motions_run() -> None:
-    assert usual_pace(sample_bodies("unseen").vertices, 25.0) == 1
-    walk = clothed_bodies("unseen").vertices[:12]
-    assert usual_pace(walk, 25.0) == 25 and usual_pace(walk[:1], 30.0) == 30
-    gone = walk + np.arange(12, dtype=np.float32)[:, None, None] * np.float32([0, 0, 0.3])
-    assert usual_pace(gone, 25.0) == 25

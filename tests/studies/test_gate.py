@@ -50,20 +50,6 @@ def test_each_broken_bound_is_named(tmp_path: Path) -> None:
     assert case.get("classname") == r"onnx:a\x1b[31m\x00.onnx" and case[0].get("message") == r"below \x07 it"
 
 
-def test_a_figure_that_is_at_least_so_much_keeps_no_upper_bound(tmp_path: Path) -> None:
-    (tmp_path / "gate.toml").write_text(
-        "[min]\naround.success = 0.1\n[max]\nwhite_box.5.success_own = 0.3\ncircle = 0.3\n"
-    )
-    rows = [{"asked": 0.05, "success_own": 0.1, "state": "at least"}]
-    card = CARD | {"white_box": rows, "circle": 0.2, "around": {"success": 0.2, "state": "measured"}}
-    said = [words for words in gate.check(card, gate.read_gate(tmp_path / "gate.toml")).values() if words]
-    asked = "the gate asks for white_box.5.success_own <= 0.3"
-    assert said == [f"builtin: white_box.5.success_own is at least 0.1; {asked}"]
-    card["around"]["state"] = "at least"
-    said = [words for words in gate.check(card, gate.read_gate(tmp_path / "gate.toml")).values() if words]
-    assert len(said) == 2 and "circle is at least 0.2" in said[1]
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -140,16 +126,3 @@ def test_a_key_that_is_no_figure_is_refused(key: str, said: str, tmp_path: Path)
     except InputError as error:
         told = str(error)
     assert said in told and bool(said) == bool(told)
-
-
-def test_nothing_is_measured_under_a_gate_that_cannot_be_held(
-    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Assessment, "run", lambda _: pytest.fail("measured"))
-    (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.3")
-    words = ["--size", "quick", "--out", str(tmp_path / "cards"), "--gate", str(tmp_path / "gate.toml")]
-    with pytest.raises(SystemExit, match="2"):
-        main(["assess", "builtin", *words, "--junit", str(tmp_path / "gate.xml")])
-    said = capsys.readouterr().err.replace("\n", " ")
-    assert "no figure of this card (size quick, no --people); did you mean white_box.76.success_own?" in said
-    assert not (tmp_path / "gate.xml").exists()

@@ -1,7 +1,6 @@
 """False alarms on cloth that nobody wears, and thresholds that make them equal."""
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
@@ -16,7 +15,6 @@ from cloak_core.studies.negatives import (
     RANDOM,
     cloak_textures,
     flat_scores,
-    pattern_alarms,
     pattern_scores,
 )
 
@@ -41,15 +39,6 @@ def test_the_same_pictures_are_shown_to_every_detector_with_and_without_cloth(mo
     assert first.drop(columns="detector").equals(second.drop(columns="detector"))
     assert (first["score"] != first["plain"]).mean() > 0.5
     assert np.array_equal(first["plain"][:6], first["plain"][6:])  # the same backgrounds again
-
-
-def test_alarms_are_told_by_kind_with_and_without_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
-    scores = {"pattern": [CLOAK, CLOAK, RANDOM], "score": [0.9, 0.55, 0.1], "plain": [0.7, 0.1, 0.1]}
-    monkeypatch.setattr(negatives, "pattern_scores", lambda *_, **__: pd.DataFrame(scores))
-    monkeypatch.setattr(negatives, "flat_scores", lambda *_: pd.DataFrame())
-    told = pattern_alarms(load_detector("builtin"), load_backgrounds("procedural:test:1"), sample_bodies("unseen"))
-    assert told[CLOAK] == {"n": 2, "alarms": 0.5, "plain": 0.5, "alarms_own": 1.0, "plain_own": 0.5}
-    assert told[RANDOM] == {"n": 1, "alarms": 0.0, "plain": 0.0, "alarms_own": 0.0, "plain_own": 0.0}
 
 
 @pytest.mark.slow

@@ -20,7 +20,6 @@ from cloak_core.sources.bodies import videos
 from cloak_core.sources.bodies.videos import save_film
 from cloak_core.studies.judging.judge import judge
 from cloak_core.studies.judging.listing import list_subjects
-from cloak_core.studies.statistics_photographs import clean_scores
 
 BLUE, GREEN, RED = (20, 20, 230), (20, 230, 20), (230, 20, 20)
 """Seen surely; seen hardly; seen, but only from a threshold of 0.5 on."""
@@ -83,14 +82,6 @@ def test_a_person_missed_without_the_cloak_is_no_success(tmp_path: Path) -> None
     assert "1 cloaked pictures have no clean partner and are in no success" in told["warnings"]
     assert set(told["detectors"]["painted"]["by_scene"]) == {"park", "roof"}
     assert told["detectors"]["painted"]["by_scene"]["roof"]["with"]["success"] is None
-
-
-def test_without_clean_pictures_there_is_no_success(tmp_path: Path) -> None:
-    paint(tmp_path / "with/1.png", (GREEN,))
-    told = see(tmp_path)
-    assert told["with"]["success"] is None and told["with"]["conditional"] is None
-    assert told["with"]["detected"] == 0 and told["with"]["n_all"] == 1
-    assert any("no picture without the cloak" in words for words in told["warnings"])
 
 
 def test_exif_rotation_boxes_and_bystanders(tmp_path: Path) -> None:
@@ -192,21 +183,6 @@ def test_of_a_video_every_so_many_th_frame_is_a_picture(tmp_path: Path) -> None:
     assert told["with"]["success"] == pytest.approx(2 / 3, abs=1e-6)
 
 
-def test_large_pictures_are_reduced_and_boxes_with_them(tmp_path: Path) -> None:
-    far = (100, 100, 300, 500)
-    for side, color in (("with", GREEN), ("without", BLUE)):
-        paint(tmp_path / side / "1.png", (color, far), size=(800, 600))
-    (tmp_path / "boxes.csv").write_text("file,x1,y1,x2,y2\nwith/1.png,100,100,300,500\nwithout/1.png,100,100,300,500\n")
-    told = judge(
-        tmp_path,
-        {"painted": Painted()},
-        JudgeSettings(resamples=100, longest=80),
-        boxes=tmp_path / "boxes.csv",
-        out=tmp_path / "judge",
-    )
-    assert told["with"]["success"] == 1 and told["without"]["detected"] == 1
-
-
 def test_bad_lists_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="absent: no such folder"):
         list_subjects(tmp_path / "absent")
@@ -264,10 +240,3 @@ def test_a_video_that_breaks_off_is_left_out_whole(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(videos, "read_frames", broken)
     told = see(tmp_path)
     assert told["skipped"] == ["with/2.mp4: breaks off"] and told["pictures"] == 2 and told["with"]["n_all"] == 1
-
-
-def test_of_several_clean_pictures_most_must_be_found() -> None:
-    score, garment = np.array([0.9, 0.7, 0.2, 0.4]), np.array(["without", "without", "without", "with"])
-    clean = lambda *partners: clean_scores(score, garment, [np.array([], int)] * 3 + [np.array(partners, int)])[3]
-    assert clean(0) == 0.9 and clean(0, 1) == 0.7 and clean(0, 1, 2) == 0.7 and clean(0, 2) == 0.2
-    assert np.isnan(clean()) and np.isinf(clean_scores(score, garment, [np.array([], int)] * 4)[0])

@@ -16,7 +16,6 @@ from cloak_core.studies.report.pictures import (
     worst_trials,
     write_shot,
 )
-from cloak_core.studies.report.plots import success_by_body
 from tests.core.fakes import RedDetector
 from tests.studies.made_evaluation import made_results, write_run
 
@@ -33,15 +32,6 @@ def test_each_body_is_shown_at_each_angle() -> None:
     shown = gallery_trials(trials(poses, angles))
     assert len(shown) == BODIES * ANGLES
     assert shown == sorted(shown) and set(np.diff(shown)) == {2}  # the first of the two at each angle
-
-
-def test_where_an_angle_lacks_a_body_the_nearest_is_shown_once() -> None:
-    shown = gallery_trials(trials([0, 0, 1, 2], [-10, 4, 0, 10]))
-    assert shown == [0, 1, 2, 3]  # of -10, 0, 4 and 10 degrees, the second body has 0 alone, the third 10
-
-
-def test_views_without_an_angle_are_shown_once_a_body() -> None:
-    assert gallery_trials(trials([0, 0, 1], [np.nan] * 3)) == [0, 2]
 
 
 def test_the_worst_ten_in_order_each_in_its_surest_image() -> None:
@@ -74,10 +64,3 @@ def test_the_report_shows_them(tmp_path: Path) -> None:
     assert "Of 6 bodies in their poses" in text and "success 25" in text
     few = make_report(write_run(tmp_path / "few", results=made_results())).read_text("utf-8")
     assert "bodies in their poses" not in few
-
-
-def test_many_bodies_make_a_curve_of_bounded_size() -> None:
-    figure = success_by_body(made_results(bodies=MANY), "builtin", 0.6)
-    assert figure.get_figheight() < 6
-    for line in figure.axes[0].lines:
-        assert len(line.get_ydata()) == 60 and (np.diff(line.get_ydata()) >= 0).all()

@@ -134,13 +134,3 @@ def test_weights_make_a_white_box_however_they_are_run(tmp_path: Path) -> None:
     detectors["edited"] = load_detector(spec)
     assert trained_against(config, detectors) == {"same": True, "other": False, "edited": True}
     assert trained_against({}, detectors) == dict.fromkeys(detectors)
-
-
-def test_a_detector_without_weights_is_known_by_its_source(tmp_path: Path) -> None:
-    text = "import torch\nclass Any(torch.nn.Module):\n    def forward(self, images):\n        {}\nmake = Any\n"
-    detectors = {}
-    for name in ("first", "second"):
-        (tmp_path / f"{name}.py").write_text(text.format(f"return {len(name)}"))
-        detectors[name] = load_detector(f"python:{tmp_path / name}.py:make")
-    config = recorded(box_bodies(), noise_backgrounds(), (detectors["first"],))
-    assert trained_against(config, detectors) == {"first": True, "second": False}

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.core.evaluation.results import NOBODY, pool, read_results
+from cloak_core.core.evaluation.results import NOBODY, read_results
 from cloak_core.core.evaluation.statistics import success_record, summarize
 from cloak_core.files.errors import InputError
 from tests.studies.made_evaluation import CONTROLS, made_results
@@ -46,23 +46,3 @@ def test_damaged_results_are_named(tmp_path: Path) -> None:
     np.savez(path, format=np.array("cloak measurement 1"))
     with pytest.raises(InputError, match=r"scores.npz: .* is missing"):
         read_results(path)
-
-
-def test_repetitions_count_their_controls_once() -> None:
-    one = made_results()
-    both = pool([one, one])
-    assert both.trainings == 2 and len(both.rows("builtin", "logo")) == 2 * len(one.trials)
-    assert len(both.rows("builtin", "grey")) == len(one.trials)
-    assert np.array_equal(both.scores("builtin", "logo", training=1), one.scores("builtin", "logo"))
-    rows = both.rows("builtin", "logo")
-    assert len(both.boxes_of(rows)) == 2 * len(one.boxes_of(one.rows("builtin", "logo")))
-    assert len(both.boxes_of(rows[:1])) == (rows["score"].iloc[0] > 0.3)
-    with pytest.raises(ValueError, match="one training"):
-        both.save(Path("never"))
-
-
-def test_rows_at_a_place() -> None:
-    results = made_results()
-    rows = results.rows("builtin", "logo", angle=-5.0, pose=1)
-    assert len(rows) == 4 and set(rows["body"]) == {"standing Bo"}
-    assert rows["clean"].tolist() == results.rows("builtin", "clothing", angle=-5.0, pose=1)["score"].tolist()

@@ -97,12 +97,6 @@ def test_average_precision_by_hand() -> None:
     assert average_precision(results, logo[logo["image"] == 2]) == 1.0  # of the one image with a box on its body
 
 
-def test_elevations_are_told_where_there_are_several() -> None:
-    results = hand_made(elevation=np.array([0, 0, 9] * 2, np.float32))
-    by_elevation = summarize(results)["detectors"]["one"]["by_elevation"]
-    assert {key: rates["n"] for key, rates in by_elevation.items()} == {"0": 4, "9": 2}
-
-
 def test_what_became_of_the_person() -> None:
     """Images without a reported person: 0, 1, 3 and 5, of which 1 and 5 report something else on the body."""
     results = hand_made(own=0.25)

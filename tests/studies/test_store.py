@@ -21,7 +21,7 @@ from cloak_core.studies import store as store_module
 from cloak_core.studies import training_store
 from cloak_core.studies.data_split import DataSplit, open_data_split
 from cloak_core.studies.store import RunStore
-from cloak_core.studies.training_store import Training, TrainingStore, content_key
+from cloak_core.studies.training_store import Training, TrainingStore
 from cloak_core.studies.trainings.training import training_config
 from tests.studies.made_split import Glow, make_options, make_split
 
@@ -68,15 +68,6 @@ def test_trainings_and_evaluations_are_made_once(
     monkeypatch.setattr(training_store, "TRAINING_VERSION", 0)
     with pytest.raises(pytest.fail.Exception, match="made again"):
         again.train_faces(faces, [RED])
-
-
-def test_packages_and_the_device_are_in_every_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    key = content_key({"settings": 1}, "cpu")
-    assert key == content_key({"settings": 1}, "cpu") != content_key({"settings": 2}, "cpu")
-    monkeypatch.setattr(training_store, "device_kind", lambda device: "another")
-    other = content_key({"settings": 1}, "cpu")
-    monkeypatch.setattr(training_store, "package_versions", lambda *names: {"torch": "1.0"})
-    assert len({key, other, content_key({"settings": 1}, "cpu")}) == 3
 
 
 def test_a_training_is_its_key_where_a_run_folder_goes_on(split: DataSplit, tmp_path: Path) -> None:

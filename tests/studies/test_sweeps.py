@@ -10,10 +10,9 @@ import pytest
 from cloak_core.core.events import read_events
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
-from cloak_core.files.locks import lock
 from cloak_core.studies import sweeps
 from cloak_core.studies.grids import read_grid
-from cloak_core.studies.sweeps import Sweep, table
+from cloak_core.studies.sweeps import Sweep
 from tests.core import children
 from tests.core.fakes import BrokenDetector
 from tests.core.test_training import run as train_alone
@@ -169,41 +168,8 @@ def test_a_failed_run_is_named_the_others_go_on_and_it_is_tried_again(tmp_path, 
     assert "error" in sweep.results()[1]
 
 
-def test_a_folder_has_one_sweep_at_a_time(tmp_path, runs):
-    (tmp_path / "out").mkdir()
-    with lock(tmp_path / "out" / ".lock"), pytest.raises(InputError, match="another sweep is at it"):
-        Sweep(runs, tmp_path / "out").run()
-
-
 def test_a_grid_that_cannot_be_opened_is_refused_before_anything_is_trained(tmp_path):
     text = BASE.replace("chest.npy", str(tmp_path / "absent.npy")) + "[grid]\nlr = [1]\n"
     with pytest.raises(InputError, match=r"absent\.npy"):
         Sweep(grid(tmp_path, text), tmp_path / "out").run()
     assert not (tmp_path / "out").exists()
-
-
-def test_table_of_runs_with_different_ends():
-    lines = table([
-        {"varied": {"a": ["x", "y|z"]}, "step": 3, "seconds": 1.6, "loss": 0.5, "success": 1.0, "out": "runs/a"},
-        {"varied": {"a": 2}, "error": "no"},
-    ])  # fmt: skip
-    assert lines[0] == "| a | steps | seconds | loss | success | run |"
-    assert lines[2] == "| x+y\\|z | 3 | 2 | 0.5000 | 1.0000 | runs/a |"
-    assert lines[3] == "| 2 |  |  |  |  | failed: no |"
-
-
-def test_options_replace_what_the_base_says(tmp_path):
-    path = tmp_path / "grid.toml"
-    path.write_text(BASE + "seed = 1\n[grid]\nlr = [1, 2]\n")
-    assert {(run.settings.run.seed, run.settings.compute.threads) for run in read_grid(path)} == {(1, None)}
-    changed = read_grid(path, {"seed": 5, "threads": 2})
-    assert {(run.settings.run.seed, run.settings.compute.threads) for run in changed} == {(5, 2)}
-    with pytest.raises(InputError, match="'lr' stands in"):
-        read_grid(path, {"lr": 3})
-
-
-@pytest.mark.slow
-def test_each_run_is_prepared_for(tmp_path, runs):
-    asked = []
-    Sweep(runs[:2], tmp_path / "out").run(prepare=asked.append)
-    assert asked == [run.settings.compute for run in runs[:2]]

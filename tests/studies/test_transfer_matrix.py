@@ -1,7 +1,6 @@
 """Cloaks judged by a detector that training left out: families, ablations, and how cells become a table."""
 
 import dataclasses
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 from cloak_core.core.evaluation.settings import StoreOptions
 from cloak_core.core.logo import chest_thighs
 from cloak_core.core.run_config import read_config
-from cloak_core.core.settings import make_settings, merge
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
@@ -22,11 +20,8 @@ from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.transfer import (
     FRONT,
-    LADDER,
     PHOTOGRAPHS,
     Matrix,
-    ablation_names,
-    ablation_settings,
     families,
     gather,
     kinship,
@@ -36,22 +31,6 @@ from cloak_core.studies.transfer import (
 )
 from tests.sources.photographs.made_people import write_people
 from tests.studies.made_split import Glow
-
-FAMILIES = {
-    "onnx:/a/yolov8n.onnx": "yolo",
-    "darknet:x/yolo-fastest-1.1-xl.cfg:y.weights@320": "yolo",
-    "darknet:MobileNetV2-YOLOv3-Nano-coco.cfg:y.weights": "yolo",
-    "onnx:nanodet_m.onnx@416,conf=0.4": "nanodet",
-    "onnx:ssd_mobilenet_v1.onnx": "ssd",
-    "torchvision:fasterrcnn_resnet50_fpn": "rcnn",
-    "python:detectors/d2go.py:load": "rcnn",
-    "torchvision:ssdlite320_mobilenet_v3_large": "ssdlite",
-    "transformers:/models/rtdetr_r18vd": "detr",
-}
-
-
-def test_families_by_name():
-    assert families(FAMILIES) == FAMILIES
 
 
 def test_siblings_and_strangers_and_what_the_user_knows_better():
@@ -63,22 +42,6 @@ def test_siblings_and_strangers_and_what_the_user_knows_better():
     for words in ("ssd", "=x", "none=x", "ssd="):
         with pytest.raises(InputError, match="--kin"):
             families(specs, [words])
-
-
-def test_rungs_are_alone_or_in_order_and_their_settings_exist():
-    assert ablation_settings("best") == {"preset": "best"}
-    assert ablation_settings("shake") == {"preset": "best", "shake": 0.3}
-    window = {"smooth": 8, "initial": "animal", "crop": 0.15, "pad": 0.3}
-    assert ablation_settings("+window") == {"preset": "best", **window}
-    recipe, upon = merge(ablation_settings("recipe")), merge(ablation_settings("+cutout"))
-    assert {name for name in upon if recipe[name] != upon[name]} == {"preset", "steps"}
-    assert ablation_settings("recipe") == {"preset": "transfer"}
-    every = ablation_names(("ladder", "best"))
-    assert len(every) == len(set(every)) == 2 * len(LADDER) + 2
-    for name in every:
-        make_settings(**(dict(FRONT.training) | ablation_settings(name)))
-    with pytest.raises(InputError, match="--rungs: 'nothing' is not one of"):
-        ablation_names(("best", "nothing"))
 
 
 def matrix(out: Path, people: tuple[People, ...] = (), **changes: object) -> Matrix:
@@ -166,13 +129,3 @@ def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
     assert table["judged"].tolist() == ["onnx red", "yolo a"] and table["kin"].tolist() == ["stranger", "sibling"]
     assert table["success"].tolist() == values and table["gone"].isna().tolist() == [True, False]
     assert table["surrogates"][1] == "onnx red; yolo b"
-
-
-@pytest.mark.slow
-def test_the_command_trains_for_the_aim_it_is_told(tmp_path):
-    from cloak_core.commands.transfer import Transfer
-
-    for hide in ("person", "everything"):
-        command = Transfer(detector=("builtin", "builtin@160"), hide=hide, out=tmp_path / hide)
-        matrix = replace(command, compute=replace(command.compute, device="cpu"))._matrix()
-        assert matrix.cameras.training.get("hide", "person") == hide

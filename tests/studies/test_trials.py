@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from cloak_core.core.evaluation.settings import EvaluateSettings
-from cloak_core.core.evaluation.trials import COLUMNS, complete, draw_trials
+from cloak_core.core.evaluation.trials import COLUMNS, draw_trials
 from cloak_core.files.errors import InputError
 
 
@@ -34,9 +34,3 @@ def test_trials_at_several_elevations_and_only_so_many_of_them() -> None:
     assert dealt.max() - dealt.min() <= 1
     with pytest.raises(InputError, match="--elevations"):
         EvaluateSettings(elevations=(0.0, 91.0))
-
-
-def test_what_a_view_does_not_have_is_absent() -> None:
-    table = complete(pd.DataFrame({"photograph": ["a", "b"], "background": [3, 4]}))
-    assert tuple(table) == (*COLUMNS, "photograph")
-    assert table["pose"].tolist() == [-1, -1] and table["angle"].isna().all() and table["background"].tolist() == [3, 4]

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.commands.wear import expanded, show_worn
+from cloak_core.commands.wear import show_worn
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.measure import measure
 from cloak_core.core.evaluation.settings import WearSettings
@@ -95,16 +95,6 @@ def test_people_in_photographs_are_images_like_any_other(people):
     assert (rows["clean"] == results.scores("body", "clothing")).all() and (rows["score"] == rows["score_on"]).all()
 
 
-def test_nothing_is_left_of_what_fails(people, red, tmp_path):
-    class Failing(BodyDetector):
-        def forward(self, images):
-            raise InputError("gone")
-
-    with pytest.raises(InputError, match="gone"):
-        wear([f"{red}@tile=0.5"], people, {"body": Failing()}, out=tmp_path / "out", settings=SMALL)
-    assert not list(tmp_path.iterdir())
-
-
 def worn(spec, fit):
     """Which colours each pixel of a photograph wears, and the colours that it shows."""
     pattern = open_pattern(str(spec))[0]
@@ -117,14 +107,6 @@ def test_a_patch_lies_on_the_chest_alone(people, red):
     fit = fit_people(people)[0]
     patch, cloth = (worn(f"{red}@{kind}", fit)[0].row_sums().sum() for kind in ("patch=0.3", "tile=0.3"))
     assert 0.3 * (0.3 * fit.scale) ** 2 < patch < 1.1 * (0.3 * fit.scale) ** 2 and patch < 0.4 * cloth
-
-
-def test_a_pattern_of_names_is_every_picture_with_one(tmp_path):
-    for name in ("b.png", "a.png", "c.jpg"):
-        (tmp_path / name).touch()
-    assert expanded(f"{tmp_path}/*.png@tile=0.5") == [f"{tmp_path}/{name}@tile=0.5" for name in ("a.png", "b.png")]
-    as_they_are = ("zoo:transfer-people", "runs/first", f"{tmp_path}/none*.png@patch=0.3", f"{tmp_path}/a.png")
-    assert [expanded(color) for color in as_they_are] == [[color] for color in as_they_are]
 
 
 def test_a_cloth_repeats_every_so_many_metres(people, tmp_path):

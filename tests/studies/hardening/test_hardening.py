@@ -14,10 +14,9 @@ from cloak_core.core.stopping import StopRequest
 from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
-from cloak_core.studies.hardening.hardening import rate
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import NAME, Student
-from cloak_core.studies.hardening.students import OnnxStudent, open_student
+from cloak_core.studies.hardening.students import open_student
 from tests.core.fakes import box_bodies
 from tests.detectors.helpers import images, write_tiny
 from tests.schemas import validate
@@ -97,13 +96,6 @@ def test_cloaked_images_count_as_much_as_asked_in_the_last_fifth(student: Studen
         assert step["loss"] == pytest.approx(wanted / (weight * 2 + 2 + 1 + 1), rel=1e-5)
 
 
-def test_the_learning_rate_falls_twice() -> None:
-    rates = [rate(step, 100) for step in range(100)]
-    assert max(rates) == rates[4] == 1.0 and rates[79] < 0.01
-    assert rates[80] == 0.5 and rates[99] < 0.01 and sorted(rates[80:], reverse=True) == rates[80:]
-    assert 0 < rate(0, 1) <= 1
-
-
 def test_what_cannot_be_trained_is_refused_in_one_line() -> None:
     words = (
         r"cannot train 'openvino', only builtin, darknet, onnx, python, torchvision and ultralytics; harden the weights"
@@ -138,12 +130,6 @@ def test_the_epsilon_of_the_original_darknet_moves_into_the_scale(tmp_path: Path
     torch.testing.assert_close(load_detector(again)(images(2)).scores, load_detector(spec)(images(2)).scores)
 
 
-def test_the_command_names_a_folder_that_is_there(tmp_path: Path) -> None:
-    (tmp_path / "something").touch()
-    with pytest.raises(InputError, match="exists already"):
-        Harden(spec="builtin", out=tmp_path).run()
-
-
 @pytest.mark.parametrize("asked", [True, False])
 def test_the_command_gives_the_cards_before_and_after_or_says_why_not(
     asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -166,23 +152,3 @@ def test_the_command_gives_the_cards_before_and_after_or_says_why_not(
         assert not made and (told["before"], told["after"]) == (None, None)
         assert "--no-assess" in told["no_cards"]
         validate("harden", json.dumps(told))
-
-
-def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_path: Path) -> None:
-    result = hardened(student, tmp_path / "out", steps=1, precision="bfloat16")
-    again = load_detector(result.spec)
-    assert again.precision == "float32"
-    assert all(p.dtype == torch.float32 and bool(p.isfinite().all()) for p in again.parameters())
-    assert not torch.equal(again(images(1)).scores, load_detector(student.spec)(images(1)).scores)
-
-
-@pytest.mark.parametrize(("tiles", "chosen"), [(True, "bfloat16"), (False, "float32")])
-def test_precision_and_learning_rate_are_the_processors_and_the_familys_unless_said(
-    student: Student, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tiles: bool, chosen: str
-) -> None:
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": tiles})
-    for name, asked, recorded in (("own", ("auto", None), (chosen, 1e-3)), ("said", ("float32", 2e-4), None)):
-        hardened(student, tmp_path / name, steps=1, precision=asked[0], lr=asked[1])
-        settings = json.loads((tmp_path / name / "config.json").read_text())["settings"]
-        assert (settings["precision"], settings["lr"]) == (recorded or asked)
-    assert OnnxStudent.lr == 1e-4

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from cloak_core.core.batches import Batch
-from cloak_core.core.geometry import face_areas, face_centres
+from cloak_core.core.geometry import face_areas
 from cloak_core.core.images import dressed
 from cloak_core.core.logo import Cover, region_mask
 from cloak_core.core.objective import Step, gradient_step
@@ -20,9 +20,9 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.hardening.hardening import Hardening, Material, harden
-from cloak_core.studies.hardening.logos import JUDGED, draw_colors, draw_logo
+from cloak_core.studies.hardening.logos import JUDGED, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
-from cloak_core.studies.hardening.pool import SLOTS, Pool
+from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
@@ -89,21 +89,6 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
         harden(few, student, replace(material, people=None), tmp_path / "out", resume=True)
 
 
-def test_every_second_cloak_of_a_slot_covers_the_whole_body(student: Student) -> None:
-    pool = _pool(student)
-    for generation in range(4):
-        whole = [slot for slot in range(SLOTS) if len(pool.cloak(slot, generation).logo) == box_bodies().face_count]
-        assert set(range(1 - generation % 2, SLOTS, 2)) <= set(whole)
-
-
-def test_every_other_cloak_is_seen_from_one_side(student: Student) -> None:
-    pool = _pool(student)
-    seen = [np.exp(1j * np.radians(pool._train_settings(slot).views.angles.of)) for slot in range(4)]
-    spread = [np.abs(np.angle(towards / towards[0])).max() for towards in seen]
-    assert max(spread[0::2]) <= np.radians(30.001) and min(spread[1::2]) > np.radians(120)
-    assert abs(np.angle(seen[0].mean())) < np.radians(15)
-
-
 @pytest.mark.long
 def test_drawn_logos_are_of_many_kinds_and_none_is_one_that_judges() -> None:
     bodies, rng = sample_bodies("train"), np.random.default_rng(0)
@@ -117,31 +102,6 @@ def test_drawn_logos_are_of_many_kinds_and_none_is_one_that_judges() -> None:
             assert areas[chosen & mask].sum() <= 0.7 * areas[chosen | mask].sum()
     assert 0.05 <= min(shares) and 0.7 < max(shares) <= 1
     assert np.std(shares) > 0.05
-
-
-def test_first_colours_are_colours() -> None:
-    centres = face_centres(box_bodies()).astype(np.float32)
-    for seed in range(12):
-        colors = draw_colors(centres, np.random.default_rng(seed))
-        assert colors.shape == centres.shape and colors.dtype == np.float32
-        assert 0 <= colors.min() and colors.max() <= 1
-
-
-def test_a_new_cloak_goes_on_where_the_slots_earlier_one_ended(
-    student: Student, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("cloak_core.studies.hardening.pool.draw_logo", lambda bodies, rng: front_logo(bodies).face_ids)
-    monkeypatch.setattr("cloak_core.studies.hardening.pool.GOES_ON", 1.0)
-    monkeypatch.setattr("cloak_core.studies.hardening.pool.WHOLE_BODY", 100)
-    pool = _pool(student)
-    begun = pool.cloak(0, 0).optimizer.colors()
-    pool.turn(0)
-    goes_on = pool.cloak(0, 1)
-    assert not torch.equal(goes_on.optimizer.colors(), begun)
-    assert torch.equal(goes_on.optimizer.colors(), pool.skins[0][goes_on.logo.face_ids])
-    again = _pool(student)
-    again.load(pool.state())
-    assert torch.equal(again.cloak(0, 1).optimizer.colors(), goes_on.optimizer.colors())
 
 
 def test_decoys_show_the_last_cloaks_beside_patterns_that_nobody_trained(

@@ -159,13 +159,6 @@ def test_the_package_reads_what_was_made_of_its_file(spec: str, tmp_path: Path) 
     torch.testing.assert_close(theirs(batch)[0][:, 4 + 2], again(batch).scores, atol=1e-5, rtol=2e-3)
 
 
-@ultralytics
-@pytest.mark.slow
-def test_queries_are_refused_in_one_line() -> None:
-    with pytest.raises(InputError, match="cannot train RT-DETR, only networks with a box at every cell"):
-        open_student("ultralytics:yolov8n-rtdetr.yaml@64")
-
-
 def test_a_python_module_whose_weights_are_out_of_reach_is_refused(tmp_path: Path) -> None:
     (tmp_path / "box.py").write_text(
         "import torch\n"
