@@ -1,6 +1,5 @@
 """Types and shapes of cloak_core are checked while tests run, nested functions' too."""
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,7 @@ from cloak_core.files.caching import cache_folder
 from tests.type_checks import check
 
 if TYPE_CHECKING:
-    from nowhere import Unknown
+    pass
 
 Row = Float64[np.ndarray, " n"]
 
@@ -51,39 +50,3 @@ def test_axes_have_one_size_in_a_call_and_its_result() -> None:
     for wrong in ((np.ones(3), np.ones(1)), (np.ones(3), None, 1), (np.ones((3, 1)),)):
         with pytest.raises(TypeCheckError):
             add(*wrong)
-
-
-def test_a_function_that_is_defined_anew_is_checked_and_sees_its_own_surroundings() -> None:
-    def define(offset: int):
-        @checked
-        def shift(value: int) -> int:
-            return value + offset
-
-        @checked
-        def plain(value):
-            return value + offset
-
-        return shift, plain
-
-    made = [define(offset) for offset in (1, 2.5)]
-    assert made[0][0](1) == 2 and [plain(1) for _, plain in made] == [2, 3.5]
-    for shift in (made[0][0], made[1][0]):
-        with pytest.raises(TypeCheckError):
-            shift("1")
-    with pytest.raises(TypeCheckError):
-        made[1][0](1)
-
-
-def test_rows_that_are_yielded_and_names_for_type_checkers_alone_are_let_through() -> None:
-    @checked
-    def rows(count: int) -> Iterator[Row]:
-        yield from np.ones((count, 2))
-
-    @checked
-    def of_unknown(value: "Unknown", count: int) -> int:
-        return count
-
-    assert len(list(rows(3))) == 3 and of_unknown(None, 2) == 2
-    for wrong in (lambda: rows("3"), lambda: of_unknown(None, "2")):
-        with pytest.raises(TypeCheckError):
-            wrong()

@@ -48,11 +48,6 @@ def test_report_keeps_what_was_measured_before(record, tmp_path: Path) -> None:
         write_report({"scenes": {}, "default": "ours-area"}, tmp_path)
 
 
-def test_unknown_scene_is_named() -> None:
-    with pytest.raises(InputError, match="'moon'"):
-        accuracy.run_bench_accuracy(sphere(100), only=("moon",))
-
-
 @pytest.mark.parametrize("name", ["shell-1mm", "garment", "cards"])
 def test_scenes_of_overlapping_surfaces_are_exact_by_area_and_leak_by_samples(name: str) -> None:
     scene = accuracy.make_scene(name, sphere(300, 0.9))

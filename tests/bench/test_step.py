@@ -4,7 +4,6 @@ import torch
 
 from cloak_core.bench.step import run_bench_step, write_table
 from cloak_core.core.settings import make_settings
-from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
@@ -50,8 +49,3 @@ def test_people_in_photographs_are_fresh_views_with_a_cloth(tmp_path):
     )["tiny:0"]
     assert one["views"] == "fresh" and one["batch"] == 2 and one["colors"] == 100 * 100
     assert one["step_ms"] > one["floor_ms"]
-
-
-def test_bad_input():
-    with pytest.raises(InputError, match="repeats"):
-        run_bench_step(box_bodies(), [TinyDetector()], noise_backgrounds(), repeats=0)

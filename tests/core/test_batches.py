@@ -4,13 +4,10 @@ import threading
 
 import numpy as np
 import pytest
-import torch
 
 from cloak_core.core import batches
 from cloak_core.core.batches import Batcher
 from tests.core.test_training import run
-
-CPU = torch.device("cpu")
 
 
 @pytest.mark.slow

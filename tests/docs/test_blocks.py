@@ -263,18 +263,3 @@ def test_most_commands_are_run_and_every_excuse_is_needed() -> None:
     excused = [why for command in shown if (why := why_not(command))]
     assert set(excused) == set(NOT_RUN)
     assert len(excused) < 0.45 * len(shown), f"{len(excused)} of {len(shown)} commands are not run"
-
-
-def test_the_commands_of_the_dockerfile_are_understood() -> None:
-    """No engine builds it here: what it runs of ours is parsed, and what it copies is not shut out."""
-    text = (ROOT / "Dockerfile").read_text("utf-8").replace("\\\n", " ")
-    parts = [part.strip().removeprefix("RUN ") for line in text.splitlines() for part in line.split("&&")]
-    ran = [words(part)[3:] for part in parts if part.startswith("python -m cloak_core ")]
-    shown = [
-        words(line.removeprefix("#"))[6:] for line in text.splitlines() if line.startswith("#   docker run --rm -v")
-    ]
-    assert ran and shown
-    for name, options in map(find, (*ran, *shown)):
-        assert isinstance(parsing.parse(load(name), name, options), load(name))
-    ignored = (ROOT / ".dockerignore").read_text("utf-8").split()
-    assert not {"cloak_core", "blender_addon", "pyproject.toml", "setup.py", "README.md"} & set(ignored)

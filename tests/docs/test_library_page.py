@@ -34,10 +34,3 @@ def test_a_block_runs(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_every_smaller_count_stands_in_the_page() -> None:
     assert all(re.search(shown, "".join(BLOCKS)) for shown in SMALLER)
-
-
-def test_the_page_shows_what_people_ask_for() -> None:
-    text = "".join(BLOCKS)
-    assert all(
-        word in text for word in ("nn.Module", "wear(", "load_people", "people=", "on_event", "to_frame", "plt.plot")
-    )

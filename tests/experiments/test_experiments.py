@@ -15,10 +15,9 @@ from cloak_core.experiments.declared import hardened
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
 from cloak_core.experiments.options import names
 from cloak_core.experiments.publish import make_page, publish
-from cloak_core.experiments.runner import draw_again, experiments, measure, measure_part, run_experiment
+from cloak_core.experiments.runner import draw_again, experiments, run_experiment
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
-from cloak_core.studies import store, training_store
 from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.report.words import short_names
 from cloak_core.studies.store import RunStore
@@ -140,18 +139,6 @@ def test_every_experiment_runs(name: str, split: DataSplit, tmp_path_factory: py
     drawn_again(name, out)
 
 
-@pytest.mark.slow
-def test_what_the_parts_of_an_experiment_made_is_found_by_the_whole(
-    split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run_store, transfer = RunStore(split, make_options(tmp_path, seeds=1)), experiments()["transfer"]
-    for part in range(3):
-        measure_part(transfer, run_store, part, 3)
-    for module, name in ((training_store, "train"), (store, "measure_frozen")):
-        monkeypatch.setattr(module, name, lambda *given, **more: pytest.fail("made again"))
-    assert len(measure(transfer, run_store).rows) == 4
-
-
 @pytest.mark.long
 def test_the_hardened_are_attacked_from_where_the_others_cloaks_ended(
     split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -191,13 +178,6 @@ def drawn_again(name: str, out: Path) -> None:
     assert (folder / "numbers.json").read_bytes() == record
     for file in ("numbers.csv", "config.json"):
         (folder / f"{file}.away").rename(folder / file)
-
-
-def test_unknown_experiment(split: DataSplit, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="experiment 'table2': not one of table1"):
-        run_experiment("table2", RunStore(split, make_options(tmp_path)))
-    with pytest.raises(InputError, match="no finished experiment"):
-        make_page(tmp_path)
 
 
 @pytest.mark.long

@@ -155,13 +155,6 @@ def test_keys_of_many_parts(text: str, tmp_path: Path) -> None:
         read_toml(tmp_path / "a.toml")
 
 
-def test_paths_and_numbers_are_no_keys_of_many_parts(tmp_path: Path) -> None:
-    record = {"lr": [0.1] * 100, "scene": "../" * 40 + "a.b.c", "angles": ", ".join(["1.5"] * 60)}
-    lines = (f"{key} = {value!r}" for key, value in record.items())
-    (tmp_path / "a.toml").write_text("\n".join(lines))
-    assert read_toml(tmp_path / "a.toml") == record
-
-
 def test_json_of_too_many_values() -> None:
     with pytest.raises(InputError, match="more values than"):
         parse_json(b"[" + b"{}," * MAX_JSON_VALUES + b"0]", "it")

@@ -10,7 +10,7 @@ import pytest
 
 from cloak_core.exchange.bodies import Bodies, frozen
 from cloak_core.files import identity
-from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record, source_hash
+from cloak_core.files.identity import code_hash, source_hash
 
 
 def bodies(**changes: object) -> Bodies:
@@ -73,20 +73,6 @@ def test_arrays_of_bodies_cannot_be_written_to_and_nobody_elses_memory_is_kept_o
     assert bodies(vertices=shared).vertices is shared  # what nobody can write to is not copied
 
 
-def test_an_array_is_the_same_however_it_lies_in_memory() -> None:
-    array = np.arange(12.0, dtype=np.float32).reshape(3, 4)
-    same = [np.asfortranarray(array), array.astype(">f4"), np.arange(24, dtype=np.float32)[::2].reshape(3, 4) / 2]
-    assert {sha256_arrays(other) for other in same} == {sha256_arrays(array)}
-    assert len({sha256_arrays(a) for a in (array, array.T, array.ravel(), array.astype(np.float64), array + 1)}) == 5
-    assert sha256_arrays(np.zeros((0, 3)), np.array(1.0), np.array(["a", "bc"])) != sha256_arrays(np.zeros((3, 0)))
-
-
-def test_a_record_is_the_same_in_any_order() -> None:
-    assert sha256_record({"a": 1, "b": [1, 2]}) == sha256_record({"b": [1, 2], "a": 1}) != sha256_record({"a": 1})
-    with pytest.raises(ValueError, match="JSON"):
-        sha256_record({"a": float("nan")})
-
-
 def test_the_code_of_a_room_is_all_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(identity, "_PROJECT", tmp_path)
     (tmp_path / "render" / "inner").mkdir(parents=True)
@@ -121,7 +107,3 @@ def test_a_python_file_is_known_with_what_it_imports_from_its_folder(tmp_path: P
         (moved / name).write_text(content + "z = 3\n")
         assert source_hash(moved / "renamed.py") != before, name
         (moved / name).write_text(content)
-
-
-def test_versions_of_packages() -> None:
-    assert package_versions("numpy", "no-such-package") == {"numpy": np.__version__}

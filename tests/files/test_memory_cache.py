@@ -22,14 +22,6 @@ def test_the_least_recently_used_go_first() -> None:
     assert cache.bytes == 10
 
 
-def test_a_view_counts_as_all_that_it_keeps_in_memory() -> None:
-    cache = MemoryCache(10_000)
-    cache.put("row", np.zeros((100, 10), np.uint8)[3, 2:])
-    assert cache.bytes == 1000
-    cache.put("tensor", torch.zeros(100, 10)[0])
-    assert cache.bytes == 5000
-
-
 def test_shared_memory_counts_once_until_the_last_holder_is_gone() -> None:
     cache, shared = MemoryCache(5000), torch.zeros(1000)
     for key in range(5):

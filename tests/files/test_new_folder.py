@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from cloak_core.files.caching import DiskCache
-from cloak_core.files.errors import InputError
 from cloak_core.files.writing import DAY, new_folder, open_to_append, write_bytes
 from cloak_core.zoo import entry as zoo
 
@@ -118,9 +117,3 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
     assert np.load(run / "colors.npy").shape[1] == 3
     assert "are not kept" in caplog.text
     zoo._run_of.cache_clear()
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file.*cannot be written"), new_folder(tmp_path / "file" / "out"):
-        pass

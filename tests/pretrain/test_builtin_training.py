@@ -26,12 +26,6 @@ from tools.pretrain.builtin_training import train_builtin
 SMALL = {"batch": 4, "views": 6, "scenes": 3, "judged": 32}
 
 
-def test_the_network_is_small():
-    network = build_network(read_cfg_text(BUILTIN_CFG))
-    assert sum(p.numel() for p in network.parameters()) <= 1_500_000
-    assert network.heads[0].classes == 1
-
-
 @pytest.mark.long
 def test_a_run_writes_a_pair_that_the_reader_takes(tmp_path):
     photos = tmp_path / "photos"

@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
 
-from cloak_core.sources.bodies.people.clothed import clothed_bodies
 from cloak_core.sources.bodies.people.skeleton import Pose
-from tools.pretrain.clothing.draping import _closed, outside
+from tools.pretrain.clothing.draping import outside
 from tools.pretrain.clothing.gaits import CYCLES
-from tools.pretrain.clothing.tables import CLIPS
 
 GRID = np.array([[4 * i + j, 4 * i + 4 + j, 4 * i + 5 + j, 4 * i + 1 + j] for i in range(3) for j in range(3)])
 """Quads of a square sheet of 4 x 4 vertices."""
@@ -21,19 +19,6 @@ def test_a_cycle_ends_where_it_begins_and_never_jumps(motion: str) -> None:
     poses = np.stack([angles(CYCLES[motion](phase)) for phase in np.linspace(0, 1, 97)])
     assert np.allclose(poses[0], poses[-1])
     assert np.abs(np.diff(poses, axis=0)).max() < 10 and np.ptp(poses, axis=0).max() > 5
-
-
-def test_the_stored_poses_are_those_of_the_tables() -> None:
-    names = [f"{clip.name}-{frame:02}" for clip in CLIPS for frame in range(clip.frames)]
-    assert list(clothed_bodies().names) == names
-
-
-def test_the_end_of_a_cycle_goes_over_into_its_beginning() -> None:
-    """Something that drifts: without the seam it would jump by a whole cycle's drift."""
-    away = np.arange(40.0)[:, None, None] * np.ones((40, 2, 3))
-    closed = _closed(away, 16)[:, 0, 0]
-    assert np.array_equal(closed[:12], np.arange(24.0, 36.0))
-    assert abs(closed[0] - closed[-1]) < 3 and abs(np.roll(closed, -1) - closed).max() < 8
 
 
 def test_cloth_is_pushed_out_of_what_is_beneath_it_and_no_farther() -> None:

@@ -60,13 +60,3 @@ def test_batches_hold_what_they_say(maker):
     assert (real[:, 2:] > real[:, :2]).all() and real.min() >= 0 and real.max() <= 1
     again = maker.batch(np.random.default_rng(2), 12, hard)
     assert all(torch.equal(a, b) for a, b in zip(batch, again, strict=True)), "the same seed, the same batch"
-
-
-def test_the_hidden_are_ignored(maker):
-    """Of many people in a small picture some end up covered or outside; nobody is both wanted and ignored."""
-    rng = np.random.default_rng(3)
-    examples = [maker.example(rng, 4) for _ in range(12)]
-    present = torch.stack([e.present for e in examples])
-    ignored = torch.stack([e.ignored for e in examples])
-    assert present.any() and ignored.any() and not (present & ignored).any()
-    assert (~present & ~ignored).any()

@@ -53,13 +53,3 @@ def test_perfect_answers_cost_next_to_nothing_and_wrong_ones_a_lot():
     blind = raw.clone().unflatten(1, (3, 6))
     blind[:, :, 4] = -12
     assert region_loss(blind.flatten(1, 2), head, boxes, present, nobody).objectness > 10, "three people missed"
-
-
-def test_nothing_is_said_about_ignored_people():
-    """A claim on an ignored person costs nothing, neither on its box nor in any cell of it."""
-    head = Region(ANCHORS, 1, True)
-    boxes = torch.tensor([[[0.2, 0.1, 0.5, 0.9]]])
-    yes, no = torch.ones(1, 1, dtype=torch.bool), torch.zeros(1, 1, dtype=torch.bool)
-    raw = _raw_from(encode(boxes, yes, head.anchors, GRID))
-    assert region_loss(raw, head, boxes, no, yes).objectness < 0.01
-    assert region_loss(raw, head, boxes, no, no).objectness > 5

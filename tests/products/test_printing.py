@@ -20,7 +20,7 @@ from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.baking import Texture, bake
 from cloak_core.products.layout import Layout, lay_out, signed_areas
-from cloak_core.products.printing import OVERPRINTS, nearest_printable, print_logo, print_pattern
+from cloak_core.products.printing import print_logo, print_pattern
 from cloak_core.products.seams import find_borders
 from cloak_core.products.tiling import PAGES, cloth_of, pages, tiles
 from cloak_core.sources.bodies.meshes.importing import import_bodies
@@ -178,17 +178,6 @@ def test_print_folder(tmp_path: Path, body: Bodies, noise: FacePattern) -> None:
     assert obj.topology == body.topology
     assert np.abs(obj.vertices - body.vertices).max() < 1e-5
     assert obj.uv is not None
-
-
-def test_what_a_printer_can_mix() -> None:
-    inks, beyond = nearest_printable(OVERPRINTS / 255)
-    assert not beyond.any() and np.array_equal(inks, OVERPRINTS / 255)
-    hard = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1.0]])
-    near, beyond = nearest_printable(hard)
-    assert beyond.all()
-    assert not nearest_printable(near)[1].any()
-    grey = np.repeat(np.linspace(0.2, 1, 9)[:, None], 3, axis=1)
-    assert not nearest_printable(grey)[1].any()
 
 
 @pytest.mark.parametrize(

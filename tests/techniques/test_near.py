@@ -9,7 +9,7 @@ from cloak_core.core.settings import make_settings
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.choosing import pattern_of
-from cloak_core.patterns.garments import camouflage, garment_colors
+from cloak_core.patterns.garments import garment_colors
 from cloak_core.sources.bodies.logos.color_difference import de2000, lab
 from cloak_core.techniques.near import Near
 from tests.core.fakes import box_bodies, front_logo, techniques_of
@@ -31,10 +31,6 @@ def test_both_bounds_hold_to_the_last_bit(garment, mean, most):
     assert far.mean() > 0.97 * mean or np.percentile(far, 95) > 0.97 * most  # no closer than asked
     assert float(found.min()) >= 0 and float(found.max()) <= 1
     assert torch.equal(near.keep(found), found)
-
-
-def test_what_is_close_enough_is_left_alone():
-    assert Near(PRINT, 200.0, 300.0).keep(COLORS) is COLORS
 
 
 def test_few_faces_may_differ_much_where_the_mean_allows_it():
@@ -99,15 +95,6 @@ def test_beside_a_pattern_a_print_is_taken_in_its_mean(tmp_path, pattern):
     assert all(len(np.unique(result.colors[patch == number], axis=0)) == 1 for number in np.unique(patch))
 
 
-def test_camouflage_repeats_without_a_seam():
-    picture = camouflage(128).astype(int)
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 4
-    for axis in (0, 1):
-        first, last = np.take(picture, 0, axis), np.take(picture, -1, axis)
-        within = [(np.take(picture, k, axis) != np.take(picture, k + 1, axis)).any(1).mean() for k in range(127)]
-        assert (first != last).any(1).mean() <= max(within)
-
-
 @pytest.mark.slow
 def test_a_run_is_resumed_beside_the_same_garment_alone(tmp_path):
     bodies = box_bodies()
@@ -118,14 +105,6 @@ def test_a_run_is_resumed_beside_the_same_garment_alone(tmp_path):
     assert np.array_equal(whole, again.colors)
     with pytest.raises(InputError, match="near"):
         run(tmp_path / "whole", near="#808080", within=5, resume=True)
-
-
-def test_garments():
-    bodies = box_bodies()
-    logo = front_logo(bodies)
-    assert np.allclose(garment_colors("#ff8000", bodies, logo), np.array([255, 128, 0]) / 255)
-    assert np.array_equal(garment_colors("clothing", bodies, logo), bodies.face_colors[0, logo.face_ids])
-    assert garment_colors("zoo:nanodet-anny", bodies, logo) is None
 
 
 def test_a_picture_repeats_along_the_body(tmp_path):

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.settings import make_settings
-from cloak_core.files.errors import InputError
 from cloak_core.techniques.octaves import Octaves
 
 
@@ -29,20 +27,9 @@ def test_a_grid_is_linear_between_its_nodes():
     assert np.allclose(octaves.summed(nodes.float())[:, :2].numpy(), places, atol=1e-4)
 
 
-def test_what_a_period_apart_lies_is_the_same():
-    places = points(dimensions=2)
-    one, other = (Octaves(at, 0.04, 3, 0.5).summed.matrix.to_dense() for at in (places, places + np.array([0.5, -1.0])))
-    assert torch.allclose(one, other, atol=1e-5)
-
-
 def test_the_gradient_is_the_transpose():
     octaves = Octaves(points(20), 0.1, 3)
     values = torch.rand(octaves.rows, 3, requires_grad=True)
     upstream = torch.rand(20, 3)
     octaves.summed(values).backward(upstream)
     assert torch.allclose(values.grad, octaves.summed.matrix.to_dense().T @ upstream, atol=1e-6)
-
-
-def test_octaves_need_a_sigmoid():
-    with pytest.raises(InputError, match=r"--octaves.*--gamut sigmoid"):
-        make_settings("best", octaves=3)

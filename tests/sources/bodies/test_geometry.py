@@ -21,12 +21,6 @@ def test_areas_normals_and_centres_of_a_cube() -> None:
     assert np.allclose(face_centres(body), 0.5 + outwards / 2)
 
 
-def test_a_face_without_area_has_no_normal_but_a_centre() -> None:
-    body = polygons(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), [[0, 1, 2]])
-    assert np.array_equal(face_normals(body), np.zeros((1, 3)))
-    assert np.allclose(face_centres(body), [[1, 0, 0]])
-
-
 def test_closed_and_outward() -> None:
     body = cube()
     assert is_closed(body.triangles)
@@ -50,13 +44,6 @@ def test_inner_edges_against_brute_force() -> None:
     assert {tuple(pair) for pair in pairs.tolist()} == {(a, b) for a, b, _ in expected}
     total = sum(np.linalg.norm(np.subtract(*body.vertices[0][list(edge)].astype(float))) for *_, edge in expected)
     assert lengths.sum() == pytest.approx(total)
-
-
-def test_scenes_without_loops_have_no_edge_inside_a_polygon() -> None:
-    body = cube()
-    bare = Bodies(body.vertices, body.triangles, body.triangle_face)
-    pairs, _ = inner_edges(bare, np.arange(6))
-    assert len(pairs) == 12 and (pairs[:, 0] < pairs[:, 1]).all()
 
 
 def test_an_edge_of_three_faces_joins_each_two() -> None:

@@ -6,7 +6,7 @@ import pytest
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.bodies.selection import select, split_selection
+from cloak_core.sources.bodies.selection import select
 
 NAMES = ("standing 1", "standing 2", "walking 1", "waving 1", "running 1")
 
@@ -52,14 +52,3 @@ def test_some_bodies_of_a_scene() -> None:
     assert np.array_equal(some.vertices, everything.vertices[walking])
     assert some.topology == everything.topology
     assert load_scene("sample[0:3]").pose_count == 3
-
-
-def test_a_file_that_is_called_so_is_taken_by_its_name(tmp_path) -> None:
-    (tmp_path / "body[1]").mkdir()
-    assert split_selection(str(tmp_path / "body[1]"))[1] is None
-    assert split_selection(str(tmp_path / "body[2]")) == (str(tmp_path / "body"), "2")
-
-
-def test_a_selection_longer_than_a_file_name_is_one():
-    names = ",".join(f"photograph{number:05}.jpg" for number in range(60))
-    assert split_selection(f"people.json[{names}]") == ("people.json", names)

@@ -119,22 +119,6 @@ def test_pixels_off_the_clothes_are_the_photographs(fitted):
     assert np.abs(image - photo)[:, ~bare].mean() > 0.02
 
 
-def test_mirroring_mirrors_image_and_box(fitted):
-    framing = framing_of(fitted, size=96)
-    image, view, _ = dressed_image(fitted, framing, 0.4)
-    turned = Framing(framing.x, framing.y, framing.side, framing.size, mirror=True)
-    mirrored, other, _ = dressed_image(fitted, turned, 0.4)
-    assert np.abs(image[:, :, ::-1] - mirrored).max() < 1e-5
-    x0, _, x1, _ = view.box
-    assert other.box[0] == pytest.approx(96 - x1) and other.box[2] == pytest.approx(96 - x0)
-
-
-def test_beyond_the_photograph_is_grey(fitted):
-    height, width = fitted.person.mask.shape
-    image, _, _ = dressed_image(fitted, Framing(-50.0, -50.0, 100.0 + max(height, width), 64), 0.4)
-    assert np.allclose(image[:, :5, :5], 0.5, atol=1e-6)
-
-
 def test_jitter_moves_faces_and_never_leaves_the_clothes(fitted):
     framing = framing_of(fitted, size=96)
     _, tight, shares = dressed_image(fitted, framing, 0.4)

@@ -106,20 +106,6 @@ def test_people_of_a_copied_photograph_stay_in_one_half(tmp_path: Path) -> None:
         people.halves()
 
 
-def with_horse(record: dict) -> None:
-    person = record["annotations"][0]
-    horse = {"id": 5, "image_id": 1, "category_id": 17, "bbox": person["bbox"]}
-    record["annotations"].append(horse)
-
-
-def test_a_horse_is_nobody(tmp_path: Path) -> None:
-    path = edit(write_people(tmp_path, 1), with_horse)
-    assert len(load_people(path).people[0].others) == 1  # nobody said that it is a horse
-    edit(path, lambda record: record.update(categories=[{"id": 1, "name": "Person"}, {"id": 17, "name": "horse"}]))
-    people = load_people(path)
-    assert people.people[0].others == () and not people.left_out
-
-
 REFUSED = {
     "categories: none is called person": lambda r: r.update(categories=[{"id": 1, "name": "horse"}]),
     "annotation 2: category 1 is none of the file's": lambda r: (

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.files.caching import DiskCache, cache_folder
+from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops import backgrounds as module
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
@@ -64,16 +64,6 @@ def test_exif_orientation_is_applied(tmp_path):
     image = load_backgrounds(tmp_path, size=(64, 64)).image(0, (64, 64)).float() / 255
     assert image[0, :28].mean() > 0.9 and image[2, :28].mean() < 0.1  # red half is now on top
     assert image[2, 36:].mean() > 0.9
-
-
-def test_grey_palette_alpha_and_16_bit(tmp_path):
-    Image.new("L", (8, 8), 100).save(tmp_path / "a.png")
-    Image.new("P", (8, 8), 0).save(tmp_path / "b.png")
-    Image.new("RGBA", (8, 8), (255, 0, 0, 0)).save(tmp_path / "c.png")
-    Image.fromarray(np.full((8, 8), 100 * 257, np.uint16)).save(tmp_path / "d.png")
-    backgrounds = load_backgrounds(tmp_path, size=(8, 8))
-    means = [int(backgrounds.image(i, (8, 8)).float().mean()) for i in range(4)]
-    assert means[0] == 100 and means[2] == 255 and abs(means[3] - 100) <= 1
 
 
 def test_damaged_files_are_named_and_skipped(tmp_path, caplog):
@@ -201,23 +191,6 @@ def test_many_writers_of_one_file_leave_one_sound_file(tmp_path):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda _: cache(tmp_path).put("a", DATA), range(40)))
     assert len(list(tmp_path.iterdir())) == 1 and cache(tmp_path).get("a").tobytes() == DATA
-
-
-def test_where_nothing_can_be_written_nothing_is_kept(tmp_path, caplog):
-    (tmp_path / "file").write_text("in the way")
-    files = cache(tmp_path / "file" / "images")
-    assert not files.put("a", DATA) and not files.put("b", DATA)
-    assert files.get("a") is None and caplog.text.count("not kept") == 1
-
-
-def test_where_the_folder_is(monkeypatch, tmp_path):
-    monkeypatch.setenv("CLOAK_CACHE", "off")
-    assert cache_folder("images") is None
-    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path))
-    assert cache_folder("images") == tmp_path / "images"
-    monkeypatch.delenv("CLOAK_CACHE")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder("images") == tmp_path / "cloak" / "images"
 
 
 def test_the_second_run_decodes_nothing(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from cloak_core.core.geometry import face_centres, face_normals
-from cloak_core.core.logo import area_share, load_logo, make_logo, select_box, select_region
+from cloak_core.core.logo import load_logo, make_logo, select_box, select_region
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.logos.stamping import project_mask, project_text
@@ -27,12 +27,6 @@ def test_regions_combine(samples: Bodies) -> None:
     assert named("thighs-all") == set(np.flatnonzero(thighs)) == named("thighs-front+thighs-back")
     assert named("chest + thighs") == named("chest") | named("thighs")
     assert named("shirt") == set(np.flatnonzero(samples.regions["shirt"])) != named("shirt-front")
-
-
-def test_a_scene_without_a_front_region_takes_the_normals() -> None:
-    body = cube(regions={"all": np.ones(6, bool)})
-    assert select_region(body, "all-front").tolist() == [5]
-    assert select_region(body, "all-back").tolist() == [0, 1, 2, 3, 4]
 
 
 def test_regions_stand_where_a_face_list_does(samples: Bodies, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,16 +60,6 @@ def test_box_and_facing(facing: str, face: int) -> None:
     assert select_box(cube(), (0.4, 0.6, 0.9, 1.1, 0.4, 0.6)).tolist() == [3]
     with pytest.raises(InputError, match=r"box 5,6.*no face"):
         select_box(cube(), (5.0, 6.0, 0.0, 1.0, 0.0, 1.0))
-
-
-def test_make_logo(samples: Bodies) -> None:
-    ids = select_region(samples, "chest")
-    logo = make_logo(samples, ids[::-1])
-    assert np.array_equal(logo.face_ids, ids) and logo.face_ids.dtype == np.int64
-    assert (len(logo), logo.face_count, logo.topology) == (len(ids), samples.face_count, samples.topology)
-    assert len(logo.edges) == len(logo.edge_lengths) > len(ids)
-    assert logo.edge_lengths.min() > 0
-    assert area_share(cube(), np.array([0, 3])) == pytest.approx(1 / 3)
 
 
 @pytest.mark.parametrize("ids", [[], [0, 0, 2], [-1, 2], [0, 6], [0.0, 1.0]])

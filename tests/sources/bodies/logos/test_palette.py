@@ -47,11 +47,6 @@ def test_bad_palettes_are_named(tmp_path, text, words):
     assert words in str(refused.value) and "palette.txt" in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_no_such_palette(tmp_path):
-    with pytest.raises(InputError, match="absent"):
-        read_palette(tmp_path / "absent")
-
-
 def test_nearest_against_looking_at_all():
     random = np.random.default_rng(0)
     colors, palette = random.random((600, 3)), random.random((50, 3))

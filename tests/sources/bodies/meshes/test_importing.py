@@ -50,12 +50,6 @@ def test_obj_keeps_polygons_and_order_across_materials(tmp_path: Path) -> None:
     assert is_closed(read.triangles)
 
 
-def test_obj_indices_count_from_the_end_too(tmp_path: Path) -> None:
-    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf -4 -3 -2 -1\nv 0 0 1\nv 1 0 1\nf 1 2 -1 -2\n"
-    (tmp_path / "a.obj").write_text(text)
-    assert import_bodies([tmp_path / "a.obj"]).loop_vertices.tolist() == [0, 1, 2, 3, 0, 1, 5, 4]
-
-
 def test_obj_texture_coordinates_vertex_colours_and_odd_lines(tmp_path: Path) -> None:
     text = (
         "# made by hand\r\no thing\ng part\ns off\nvn 0 0 1\n"

@@ -1,11 +1,8 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloak_core.core.geometry import face_areas, face_centres
-from cloak_core.exchange.bodies import Bodies
-from cloak_core.files.errors import InputError
+from cloak_core.core.geometry import face_centres
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
 from tests.sources.bodies.solids import CUBE, CUBE_FACES, cube, is_closed, sphere
 
@@ -20,16 +17,6 @@ def test_counts_of_the_papers_mesh() -> None:
     assert (divided.loop_total == 4).all()
     assert np.array_equal(np.bincount(parent), body.loop_total)
     assert is_closed(divided.triangles)
-
-
-def test_triangle_meshes_split_one_to_four() -> None:
-    body = cube()
-    triangles = Bodies(body.vertices, body.triangles)
-    divided, parent = subdivide(triangles)
-    assert (divided.vertex_count, divided.face_count) == (8 + 18, 48)
-    assert np.array_equal(parent, np.repeat(np.arange(12), 4))
-    assert is_closed(divided.triangles)
-    assert np.allclose(face_areas(divided), np.repeat(face_areas(triangles) / 4, 4))
 
 
 def test_colours_regions_and_names_follow_the_parent() -> None:
@@ -77,9 +64,3 @@ def test_closed_bodies_stay_closed_and_keep_their_corners(columns: int, rows: in
     assert divided.vertex_count - int(divided.loop_total.sum()) // 2 + divided.face_count == 2
     # Children lie side by side, in their parents' order.
     assert (np.diff(parent) >= 0).all() and parent[-1] == body.face_count - 1
-
-
-@pytest.mark.parametrize("levels", [-1, 7])
-def test_levels_out_of_range_are_refused(levels: int) -> None:
-    with pytest.raises(InputError, match="subdivision level"):
-        subdivide(cube(), levels)

@@ -10,8 +10,7 @@ from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.people import anny as module
-from cloak_core.sources.bodies.people.anny import POSES, SHAPES, anny_bodies, read_anny_poses
-from cloak_core.sources.bodies.people.motions import MOTIONS
+from cloak_core.sources.bodies.people.anny import SHAPES, anny_bodies, read_anny_poses
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.people.skeleton import Skeleton
 from tests.core.fakes import box_bodies
@@ -87,12 +86,6 @@ def test_bad_input_and_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "anny", None)
     with pytest.raises(InputError, match=r"anny: not installed \(pip install"):
         anny_bodies(1)
-
-
-def test_motions_differ_and_repeat() -> None:
-    for draw in MOTIONS.values():
-        assert draw(np.random.default_rng(1)) == draw(np.random.default_rng(1)) != draw(np.random.default_rng(2))
-    assert {motion for motions in POSES.values() for motion in motions} == set(MOTIONS)
 
 
 @pytest.mark.slow

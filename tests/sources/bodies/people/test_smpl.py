@@ -1,6 +1,5 @@
 """SMPL on random model files of the true shapes; with the `smplx` package at hand, against it."""
 
-import io
 import pickle
 import pickletools
 import sys
@@ -161,14 +160,6 @@ def test_only_the_listed_names_are_admitted(tmp_path: Path, names: tuple[str, st
     assert list(pickletools.genops(code))
     (tmp_path / "m.pkl").write_bytes(code)
     with pytest.raises(InputError, match="never loaded"):
-        read_smpl(tmp_path / "m.pkl")
-
-
-def test_calling_the_array_class_allocates_nothing(tmp_path: Path) -> None:
-    code = io.BytesIO()
-    code.write(b"\x80\x02cnumpy\nndarray\n" + b"(" + b"I99999999999\n" + b"t\x85R.")
-    (tmp_path / "m.pkl").write_bytes(code.getvalue())
-    with pytest.raises(InputError, match=r"m\.pkl"):
         read_smpl(tmp_path / "m.pkl")
 
 
