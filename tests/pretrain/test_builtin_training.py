@@ -13,11 +13,10 @@ from cloak_core.core.detector.scoring import THRESHOLD, max_person_score
 from cloak_core.core.paint import compose, true_boxes
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.detectors.darknet.cfg import read_cfg_text
-from cloak_core.detectors.darknet.detector import BUILTIN_CFG, BUILTIN_WEIGHTS, read_darknet
+from cloak_core.detectors.darknet.detector import BUILTIN_CFG, BUILTIN_WEIGHTS
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.specs import parse_spec
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.view_cache import ViewCache
@@ -37,8 +36,7 @@ def test_a_run_writes_a_pair_that_the_reader_takes(tmp_path):
     result = train_builtin(tmp_path / "out", photos, steps=3, seed=1, on_event=events.append, **SMALL)
     assert result["step"] == 3 and 0 <= result["recall"] <= 1 and 0 <= result["false_alarms"] <= 1
     assert events[-1]["type"] == "stored"
-    pair = (tmp_path / "out" / "builtin.cfg", tmp_path / "out" / "builtin.weights")
-    detector = read_darknet(*pair, parse_spec("b"), class_names=("person",))
+    detector = load_detector(f"builtin:{tmp_path / 'out' / 'builtin.weights'}")
     scores = detector(torch.rand(1, 3, 64, 64)).scores
     assert scores.shape == (1, 192) and torch.isfinite(scores).all()
 
