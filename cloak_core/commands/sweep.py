@@ -42,8 +42,7 @@ class Sweep(Sharing):
     """Every random draw derives from it (default: what the grid says, else 0)."""
 
     def run(self) -> dict:
-        from cloak_core.studies.grids import read_grid
-        from cloak_core.studies.sweeps import Sweep
+        from cloak_core.studies.sweeps import Sweep, read_grid
 
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("sweep: torchrun shares out one run; many runs are shared out by --ray")

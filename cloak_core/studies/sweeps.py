@@ -1,5 +1,6 @@
 """Sweeps: a training for every combination of a grid of settings, resumable, done here or by a cluster.
 
+    GRID.toml               [base], what all runs share, and [grid], lists of values for what varies
     DIR/runs/NAME/          run folders of a `TrainingStore`: what the grid varies, and the hash of their content
     DIR/results/NAME.json   what came of each; written when it is done, so that it is not done again
     DIR/sweep.json, .md     all results so far
@@ -11,30 +12,38 @@ from its checkpoint.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
+import math
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent, read_events
 from cloak_core.core.logo import Logo, make_logo
+from cloak_core.core.settings import TrainSettings, merge, settings_from_record
 from cloak_core.core.settings.components import ComputeSettings
 from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
-from cloak_core.files.reading import read_json
+from cloak_core.files.reading import read_json, read_toml
+from cloak_core.files.specs import require_named
 from cloak_core.files.writing import write_json, write_text, written
 from cloak_core.jobs.job import Executor, Job, Tell, hand_out, resources
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.studies.grids import SweepRun, words
 from cloak_core.studies.training_store import Training, TrainingStore
 
+MOST_RUNS = 200_000
+INPUTS = ("scene", "logo", "detector", "backgrounds")
+"""What a grid may name beside settings."""
 FIGURES = ("loss", "disappearance", "tv", "nps", "success")
 """Of training, each the mean over a run's last tenth."""
 TABLE_SECONDS = 60.0
@@ -43,6 +52,98 @@ _log = logging.getLogger("cloak")
 _NAME = re.compile(r"(.*-)?[0-9a-f]{16}")
 """Of results; those of earlier versions were not named by content."""
 Prepare = Callable[[ComputeSettings], object]
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """One combination."""
+
+    varied: dict[str, object]
+    """What the grid gives it."""
+    scene: str
+    logo: str
+    backgrounds: str
+    detectors: tuple[str, ...]
+    settings: TrainSettings
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return ", ".join(f"{key}={words(value)}" for key, value in self.varied.items())
+
+
+def read_grid(
+    path: str | Path, changes: Mapping[str, object] | None = None, named: Sequence[str] = ()
+) -> list[SweepRun]:
+    """Read the runs of a grid file: every combination of the lists in [grid], over [base], in the file's order.
+
+    [base] and [grid] take the settings of `cloak train` by name, and scene, logo, detector, backgrounds, as on the
+    command line. In [grid] each name has a list of values; an entry of `detector` may itself be a list, of detectors
+    to be trained against at once. `changes` replace what [base] says; of its detectors only those `named` here may run
+    code or ask the network. InputError names the file and the key.
+    """
+    path = Path(path)
+    record = read_toml(path)
+    for name in record:
+        if name not in ("base", "grid") or not isinstance(record[name], dict):
+            raise InputError(f"{path}: '{name}' is neither the table [base] nor [grid]")
+    base = _keys(record.get("base", {}), path) | dict(changes or {})
+    grid = _keys(record.get("grid", {}), path)
+    if not grid:
+        raise InputError(f"{path}: no [grid] to sweep over")
+    for key, values in grid.items():
+        if key in base:
+            raise InputError(f"{path}: '{key}' stands in [base] and in [grid]")
+        if not isinstance(values, list) or not values:
+            raise InputError(f"{path}: [grid] {key}: a list of values is needed, such as [1, 2]")
+        counts = Counter(map(_hashable, values))
+        twice = [value for value in values if counts[_hashable(value)] > 1]
+        if twice:
+            raise InputError(f"{path}: [grid] {key}: {twice[0]!r} stands there twice")
+    count = math.prod(map(len, grid.values()))
+    if count > MOST_RUNS:
+        raise InputError(f"{path}: {count} runs, more than {MOST_RUNS}")
+    combinations = (dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values()))
+    runs = [_run(base, varied, path) for varied in combinations]
+    require_named((spec for run in runs for spec in run.detectors), path, named)
+    return runs
+
+
+def _keys(table: dict, path: Path) -> dict:
+    changed = {key.replace("-", "_"): value for key, value in table.items()}
+    if len(changed) < len(table):
+        raise InputError(f"{path}: a name stands there twice, once with - and once with _")
+    return changed
+
+
+def _run(base: dict, varied: dict, path: Path) -> SweepRun:
+    named = {"backgrounds": "procedural:train", "detector": "builtin"} | base | varied
+    for key in INPUTS:
+        if key not in named:
+            raise InputError(f"{path}: {key} is missing (in [base] or [grid])")
+    inputs = {key: named[key] for key in INPUTS}
+    specs = inputs.pop("detector")
+    specs = specs if isinstance(specs, list) else [specs]
+    if not specs:
+        raise InputError(f"{path}: detector: none given")
+    for key, value in [*inputs.items(), *(("detector", spec) for spec in specs)]:
+        if not isinstance(value, str) or not value:
+            raise InputError(f"{path}: {key}: {value!r} is not text")
+    try:
+        layers = ({key: value for key, value in table.items() if key not in INPUTS} for table in (base, varied))
+        settings = settings_from_record(merge(*layers))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return SweepRun(varied=varied, detectors=tuple(specs), settings=settings, **inputs)
+
+
+def _hashable(value: object) -> object:
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value
+
+
+def words(value: object) -> str:
+    """Write a value of a grid for people."""
+    return "+".join(map(words, value)) if isinstance(value, list) else str(value)
 
 
 # Each is opened once in a process.
@@ -72,7 +173,11 @@ def train_run(run: SweepRun, folder: Path, prepare: Prepare | None, on_event: On
     result = store.go_on(Training(run.settings, *open_run(run), inputs=inputs), folder)
     if result.stopped and result.stopped != "time budget":  # which is a run's own
         return {"stopped": f"stopped in run {run.label}, at step {result.step}: {result.stopped}"}
-    return result.record() | {"out": f"runs/{folder.name}"} | _figures(folder)
+    events = read_events(folder / "events.jsonl")
+    steps = [e for e in events if e.get("type") == "step" and all(isinstance(e.get(k), (int, float)) for k in FIGURES)]
+    last = steps[-max(1, len(steps) // 10) :]
+    means = {key: round(sum(event[key] for event in last) / len(last), 6) for key in FIGURES} if last else {}
+    return result.record() | {"out": f"runs/{folder.name}"} | means
 
 
 class Sweep:
@@ -99,25 +204,35 @@ class Sweep:
         earlier version, or somebody else is at it.
         """
         if any(not _NAME.fullmatch(path.stem) for path in (self.out / "results").glob("*.json")):
-            raise InputError(
-                f"{self.out}: holds the results of a sweep by an earlier version, which sweep.md lists; choose another "
-                "--out"
-            )
-        every = [(run, folder, self._result(folder)) for run, folder in zip(self.runs, self.folders, strict=True)]
-        left = [(run, folder) for run, folder, result in every if not result or "error" in result]
+            old = "holds the results of a sweep by an earlier version, which sweep.md lists"
+            raise InputError(f"{self.out}: {old}; choose another --out")
+        jobs = {}
+        for run, folder in zip(self.runs, self.folders, strict=True):
+            result, compute = self._result(folder), run.settings.compute
+            if result and "error" not in result:
+                continue
+            arguments = {"run": run, "folder": folder, "prepare": prepare, "on_event": None if executor else on_event}
+            job = Job(run.label, train_run, arguments, **resources(compute.threads, compute.device, gpus))
+            jobs[job] = run, folder
         with written(self.out):
             for name in ("runs", "results"):
                 (self.out / name).mkdir(parents=True, exist_ok=True)
-        tell(f"{len(left)} of {len(self.runs)} runs to train")
+        tell(f"{len(jobs)} of {len(self.runs)} runs to train")
         busy = f"{self.out}: another sweep is at it; many at once are --ray's business"
-        jobs = {}
-        for run, folder in left:
-            arguments = {"run": run, "folder": folder, "prepare": prepare, "on_event": None if executor else on_event}
-            compute = run.settings.compute
-            job = Job(run.label, train_run, arguments, **resources(compute.threads, compute.device, gpus))
-            jobs[job] = run, folder
-        with lock(self.out / ".lock", busy=busy):
-            return self._hand_out(executor, jobs, tell)
+        shown = time.monotonic()
+        outcomes = hand_out(executor, list(jobs), tell, "run")
+        with lock(self.out / ".lock", busy=busy), contextlib.closing(outcomes):
+            for outcome in outcomes:
+                run, folder = jobs[outcome.job]
+                record = outcome.result or {"error": outcome.error}
+                if "stopped" in record:
+                    return record["stopped"]
+                write_json(self._result_path(folder), {"name": folder.name, "varied": run.varied} | record)
+                # The table reads every result: of many short runs it must not be written after each.
+                if time.monotonic() - shown > TABLE_SECONDS:
+                    self.write_results()
+                    shown = time.monotonic()
+        return ""
 
     @cached_property
     def folders(self) -> tuple[Path, ...]:
@@ -130,7 +245,8 @@ class Sweep:
             inputs = (run.scene, run.logo, run.backgrounds, run.detectors, run.settings.compute.device)
             if inputs not in opened:
                 opened[inputs] = open_run(run)
-            folders.append(store.folder(Training(run.settings, *opened[inputs]), run.file_label))
+            label = re.sub(r"[^\w.,=+-]+", "_", run.label.replace(", ", ","))[:80]
+            folders.append(store.folder(Training(run.settings, *opened[inputs]), label))
         return tuple(folders)
 
     def results(self) -> list[dict]:
@@ -146,21 +262,6 @@ class Sweep:
             write_text(self.out / "sweep.md", "\n".join(table(results)) + "\n")
         return record
 
-    def _hand_out(self, executor: Executor | None, jobs: dict[Job, tuple[SweepRun, Path]], tell: Tell) -> str:
-        shown = time.monotonic()
-        with contextlib.closing(hand_out(executor, list(jobs), tell, "run")) as outcomes:
-            for outcome in outcomes:
-                run, folder = jobs[outcome.job]
-                record = outcome.result or {"error": outcome.error}
-                if "stopped" in record:
-                    return record["stopped"]
-                write_json(self._result_path(folder), {"name": folder.name, "varied": run.varied} | record)
-                # The table reads every result: of many short runs it must not be written after each.
-                if time.monotonic() - shown > TABLE_SECONDS:
-                    self.write_results()
-                    shown = time.monotonic()
-        return ""
-
     def _result_path(self, folder: Path) -> Path:
         return self.out / "results" / f"{folder.name}.json"
 
@@ -168,14 +269,6 @@ class Sweep:
         """Read what came of a run; {} before it has ended."""
         path = self._result_path(folder)
         return read_json(path) if path.exists() else {}
-
-
-def _figures(folder: Path) -> dict:
-    """Average the last tenth of a run's steps."""
-    events = read_events(folder / "events.jsonl")
-    steps = [e for e in events if e.get("type") == "step" and all(isinstance(e.get(k), (int, float)) for k in FIGURES)]
-    last = steps[-max(1, len(steps) // 10) :]
-    return {key: round(sum(event[key] for event in last) / len(last), 6) for key in FIGURES} if last else {}
 
 
 def table(results: Sequence[dict]) -> list[str]:

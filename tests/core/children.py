@@ -15,7 +15,7 @@ import torch
 from cloak_core.core import checkpoints, training
 from cloak_core.core.checkpoints import Checkpoint, save_checkpoint
 from cloak_core.files.errors import InputError
-from cloak_core.studies.grids import SweepRun, read_grid
+from cloak_core.studies.sweeps import SweepRun, read_grid
 from cloak_core.studies.trainings.training import train
 from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 

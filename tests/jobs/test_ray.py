@@ -25,8 +25,7 @@ from cloak_core.jobs.ray_keeper import processes_of
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs import fits
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.grids import read_grid
-from cloak_core.studies.sweeps import Sweep
+from cloak_core.studies.sweeps import Sweep, read_grid
 from tests.jobs.work import fit_and_note, refuse
 from tests.sources.photographs.made_people import write_people
 

@@ -11,7 +11,7 @@ from cloak_core.cli import main
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import reach
-from cloak_core.studies.grids import read_grid
+from cloak_core.studies.sweeps import read_grid
 from cloak_core.studies.zoo_reproduction import Files, evaluate_again
 from cloak_core.zoo.entry import Entry, entry
 

@@ -11,8 +11,7 @@ from cloak_core.core.events import read_events
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.studies import sweeps
-from cloak_core.studies.grids import read_grid
-from cloak_core.studies.sweeps import Sweep
+from cloak_core.studies.sweeps import Sweep, read_grid
 from tests.core import children
 from tests.core.fakes import BrokenDetector
 from tests.core.test_training import run as train_alone
@@ -37,7 +36,7 @@ def test_every_combination_in_the_files_order(tmp_path):
     assert [run.settings.optimization.lr for run in runs] == [0.1, 0.1, 1.0, 1.0]
     assert all(run.settings.objective.tv_weight == 0 and run.settings.run.epochs is None for run in runs)
     assert runs[1].detectors == ("b", "c:d/e.cfg") and runs[1].backgrounds == "procedural:train"
-    assert [run.file_label for run in runs[:2]] == ["lr=0.1,detector=a", "lr=0.1,detector=b+c_d_e.cfg"]
+    assert [run.label for run in runs[:2]] == ["lr=0.1, detector=a", "lr=0.1, detector=b+c:d/e.cfg"]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +91,7 @@ def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
     assert said[0].startswith("run 1 of 4: lr=0.02, seed=0: ") and said[0].endswith(" left") and len(said) == 4
     assert said[-1].startswith("run 4 of 4: ") and "left" not in said[-1]
     for run, result in zip(runs, record["results"], strict=True):
-        alone = train_alone(tmp_path / "alone" / run.file_label, steps=4, **run.varied)
+        alone = train_alone(tmp_path / "alone" / run.label, steps=4, **run.varied)
         assert np.array_equal(read_colors(tmp_path / "out" / result["out"] / "colors.npy"), alone.colors)
         steps = [e for e in read_events(tmp_path / "out" / result["out"] / "events.jsonl") if e["type"] == "step"]
         assert result["loss"] == pytest.approx(steps[-1]["loss"], abs=1e-6) and result["step"] == 4
