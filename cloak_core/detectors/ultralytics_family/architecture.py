@@ -14,7 +14,6 @@ from types import ModuleType
 
 import torch
 import torch.nn.functional as F
-import yaml
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -41,6 +40,8 @@ def read_architecture(where: str) -> dict:
 
     InputError: no such file or name, not YAML.
     """
+    import yaml  # comes with ultralytics
+
     path = Path(where).expanduser()
     if not path.is_file():
         path = _shipped(where)

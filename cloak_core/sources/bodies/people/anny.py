@@ -127,7 +127,7 @@ class AnnySource:
             import anny
             from anny.face_segmentation import get_face_segmentation_mask
         except ImportError:
-            raise InputError("anny: not installed (pip install cloak-core[anny])") from None
+            raise InputError("anny: needs the package anny: pip install 'cloak-core[anny]'") from None
         import torch
 
         self._torch = torch

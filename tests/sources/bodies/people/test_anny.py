@@ -84,7 +84,7 @@ def test_bad_input_and_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(InputError, match="count 0"):
         anny_bodies(0)
     monkeypatch.setitem(sys.modules, "anny", None)
-    with pytest.raises(InputError, match=r"anny: not installed \(pip install"):
+    with pytest.raises(InputError, match=r"anny: needs the package anny: pip install"):
         anny_bodies(1)
 
 
