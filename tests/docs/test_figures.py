@@ -20,6 +20,13 @@ import pytest
 ROOT = Path(__file__).parents[2]
 ADDRESSES = tomllib.loads((ROOT / "docs" / "figures.toml").read_text("utf-8"))
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
+USER = re.search(r"Use it:\n(.*?)\n  - ", (ROOT / "mkdocs.yml").read_text("utf-8"), re.DOTALL)[1]
+REPORTS = [path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs" / "reports").glob("*.md"))]
+REPORTS.remove("docs/reports/reliability.md")  # written by the tests that measure what it says
+PAGES = ["README.md", *re.findall(r": (docs/\S+\.md)", USER), *REPORTS]
+"""Whose rates all stand in a record."""
+RATE = re.compile(r"(?<![\w.@=/-])(?:\d[\d,]*(?:\.\d+)? %|[01]\.\d\d+\b)")
+CODE = re.compile(r"`[^`\n]*`|^    [^\n]*$|^```.*?^```", re.MULTILINE | re.DOTALL)
 FIGURE = re.compile(r"(-?\d[\d,]*(?:\.\d+)?)( %)?\D*$")
 
 
@@ -82,6 +89,40 @@ def test_tables_are_those_of_their_record(address: dict) -> None:
     assert len(found) == len(address["rows"]) * len(address["columns"])
     for words, place in found:
         assert agrees(words, ROOT / address["record"], place), f"{words!r} is not {address['record']} : {place}"
+
+
+def held(page: str, text: str) -> set[int]:
+    """Where figures stand that are held against a record; the name of a row that is held counts as one."""
+    places = set()
+    for address in ADDRESSES["figure"]:
+        if address["page"] == page:
+            places.add(text.index(address["text"]) + FIGURE.search(address["text"]).start(1))
+    for address in (address for address in ADDRESSES["table"] if address["page"] == page):
+        for table in TABLE.finditer(text):
+            if not all(f"| {row} |" in table[0] for row in address["rows"]):
+                continue
+            start, header = table.start(), cells(table[0].splitlines()[0])
+            for line in table[0].splitlines(keepends=True):
+                for name, cell in zip(header, re.finditer(r"(?<=\|)[^|\n]+", line), strict=False):
+                    if cells(line)[0] in address["rows"] and (name in address["columns"] or cell.start() == 1):
+                        places |= {start + i for i in range(*cell.span())}
+                start += len(line)
+    return places
+
+
+def unheld(page: str, text: str) -> list[str]:
+    """Percentages and rates in two digits, outside code, that stand in no record and are no plain ones."""
+    prose = CODE.sub(lambda code: " " * len(code[0]), text)
+    known = {"95 %", *ADDRESSES["plain"].get(page, ())}
+    places = held(page, text)
+    return [rate[0] for rate in RATE.finditer(prose) if rate[0] not in known and rate.start() not in places]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_no_rate_stands_without_a_record(page: str) -> None:
+    text = (ROOT / page).read_text("utf-8")
+    assert unheld(page, text) == []
+    assert unheld(page, text + "\nIt hides 12.5 % of them, or 0.125.\n") == ["12.5 %", "0.125"]
 
 
 def test_addresses_stay_out_of_the_pages() -> None:
