@@ -27,7 +27,7 @@ from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
 from ..translations import said
 from ..ui.operator import CloakOperator
-from ..ui.window import areas, main_region, redraw, show_image, tell_status
+from ..ui.window import areas, in_window, main_region, redraw, tell_status
 from . import eye, render_check
 from .evaluations import kept_back, read_evaluation
 from .reasons import ANSWER, WEAR, export_worn, foreign_reason, judged_reason, people_file, result_reason
@@ -236,4 +236,7 @@ def _compare() -> None:
     title = PICTURE.format(*(verdict.scores[number] for number in shown), verdict.threshold)
     image = new_image(title, np.concatenate([read_picture(verdict.images[n])[..., :3] for n in shown], axis=1))
     image.pack()
-    show_image(image)
+    if in_window(bpy.ops.wm.window_new):  # as Blender shows a render
+        area = bpy.context.window_manager.windows[-1].screen.areas[0]
+        area.ui_type = "IMAGE_EDITOR"
+        area.spaces.active.image = image

@@ -7,6 +7,9 @@ from contextlib import contextmanager
 
 import bpy
 
+WAITS = {"SCULPT", "TEXTURE_PAINT"}
+"""Modes whose strokes cannot be undone any more (Blender 5.2 crashes) once another object has been written."""
+
 
 class Hooks:
     """Handlers of Blender and drawing over its viewports, from `register` until `unregister`.
@@ -65,17 +68,14 @@ def in_window(action: Callable[[], object]) -> bool:
 
 
 def tool_at_work() -> str:
-    """What the user is in the middle of: a stroke, a grab, Sculpt Mode, a render that locks the interface; "" for none.
-
-    Of Sculpt Mode the strokes cannot be undone any more (Blender 5.2 crashes) once another object has been written.
-    """
+    """What the user is in the middle of: a stroke, a grab, one of `WAITS`, a render that locks the interface; or ""."""
     manager = bpy.context.window_manager
     if manager.is_interface_locked:
         return "Render"
     for window in manager.windows:
         active = window.view_layer.objects.active
-        if active is not None and active.mode == "SCULPT":
-            return "Sculpt Mode"
+        if active is not None and active.mode in WAITS:
+            return active.bl_rna.properties["mode"].enum_items[active.mode].name
         for operator in window.modal_operators:
             looks_around = operator.bl_idname.startswith("VIEW3D_OT_") and "UNDO" not in operator.bl_options
             if operator.bl_options & {"UNDO", "BLOCKING"} and not looks_around:
@@ -112,14 +112,6 @@ def tell_status(words: str) -> None:
     """Show a line in the status bar of every window; "" brings Blender's own back."""
     for window in bpy.context.window_manager.windows:
         window.workspace.status_text_set(words or None)
-
-
-def show_image(image: bpy.types.Image) -> None:
-    """Show an image in a window of its own, as Blender shows a render; nothing without a window."""
-    if in_window(bpy.ops.wm.window_new):
-        area = bpy.context.window_manager.windows[-1].screen.areas[0]
-        area.ui_type = "IMAGE_EDITOR"
-        area.spaces.active.image = image
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from cloak.trainer.progress import Progress, take_event
 from cloak.training import runs
 from cloak.training.operators import train_reason
 from conftest import run_job
+from made import make_egg, set_mode
 
 # --- the program ------------------------------------------------------------------------------------------------------
 
@@ -193,6 +194,17 @@ def test_jobs_wait_their_turn_and_say_so(tmp_path, stub):
     run_job()
     assert [job.state for job in (first, second, third, lost)] == ["done", "done", "stopped", "failed"]
     assert third.message == "Three stopped" and "cannot be started" in lost.message
+
+
+@pytest.mark.parametrize("mode", ["SCULPT", "TEXTURE_PAINT"])
+def test_what_a_job_brings_waits_until_the_mode_is_left_whose_strokes_it_would_spoil(tmp_path, stub, mode):
+    make_egg(8)
+    set_mode(mode)
+    job = jobs.launch(Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one"))
+    job._process.wait()
+    assert jobs.tick() == jobs.TICK_SECONDS and job.running
+    set_mode("OBJECT")
+    assert run_job().state == "done"
 
 
 def test_run_folders_never_collide(tmp_path):
