@@ -20,6 +20,7 @@ DISTANCE = 2.2  # metres from the middle of the body to the training cameras, un
 SMALLEST, LARGEST = 0.2, 2 * DISTANCE
 """Metres: the largest extent of a body that is more than a few pixels, and that a camera does not stand inside of."""
 _CACHED = ("CLOTH", "SOFT_BODY")
+CHANNELS = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,8 @@ def _state_of(context: bpy.types.Context, obj: bpy.types.Object) -> Callable[[],
     scene, armature, keys = context.scene, armature_of(obj), obj.data.shape_keys
     frame, subframe = scene.frame_current, scene.frame_subframe
     movable = [obj, *([armature, *armature.pose.bones] if armature else ())]
-    places = [(one, one.matrix_basis.copy()) for one in movable]
+    # Not by matrices, which forget whole turns and round what the user typed.
+    places = [(one, {name: tuple(getattr(one, name)) for name in CHANNELS}) for one in movable]
     values = {key.name: key.value for key in keys.key_blocks} if keys else {}
     animations = []
     for owner in _owners(obj):
@@ -211,9 +213,9 @@ def _state_of(context: bpy.types.Context, obj: bpy.types.Object) -> Callable[[],
             if action is not None and slot is not None:
                 now.action_slot = slot
         scene.frame_set(frame, subframe=subframe)
-        for one, matrix in places:
-            if one.matrix_basis != matrix:  # what a matrix says of angles is not what the user typed
-                one.matrix_basis = matrix
+        for one, channels in places:
+            for name, value in channels.items():
+                setattr(one, name, value)
         for name, value in values.items():
             keys.key_blocks[name].value = value
         context.view_layer.update()
