@@ -7,6 +7,7 @@ Drawing never waits for them: what takes longer than a blink is computed when th
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -17,11 +18,11 @@ from ..blender import mesh_arrays as arrays
 from ..blender.evaluated import Surface
 from ..blender.faces import logo_mask
 from ..blender.marks import COLORS, HEATMAP
+from ..blender.occlusion import depth_buffer
 from ..body.garments import worn_by
 from ..session import session
 from ..ui.drawing import Shape
 from ..ui.window import Hooks, between_strokes, redraw
-from .figures import LogoStats, logo_stats
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 OUTLINE = (1.0, 1.0, 1.0, 1.0)
@@ -31,6 +32,80 @@ REST = 0.2  # seconds without a change after which what takes longer is computed
 PAINT = "cloak.paint_logo"  # the tool that paints a logo
 MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}  # events of a mouse that moves
 ADDED, TAKEN = (0.2, 0.9, 1.0, 0.55), (0.05, 0.05, 0.05, 0.6)
+PIXELS = 320  # along the longest side of body and clothing: 6 mm of a person
+WORTH_TELLING = 0.05  # share of the logo from which on a piece that covers it is named
+Part = tuple[bpy.types.Object, np.ndarray]
+"""An object, and the mask [F] of the logo's faces on it; the body comes first."""
+
+
+@dataclass(frozen=True)
+class LogoStats:
+    """Area and visibility of a logo; areas in square metres, in the current pose."""
+
+    faces: int
+    hidden: int
+    area_share: float  # of the surface of the body and of what it wears, 0 to 1
+    projected_area: float  # of the logo as seen from the front
+    whole_projected_area: float  # of the whole outline as seen from the front
+    covered: tuple[tuple[str, float], ...] = ()
+    """Pieces that do not wear the logo and cover some of it from the front: their names, and the share of it."""
+
+
+def logo_stats(parts: list[Part]) -> LogoStats:
+    """Measure a logo on a body and on its clothing."""
+    square = bpy.context.scene.unit_settings.scale_length**2
+    shapes, hidden, own, whole = [], 0, 0.0, 1e-12
+    for obj, mask in parts:
+        with arrays.current_mesh(obj) as mesh:
+            hides, seen_mesh = arrays.hidden_faces(mesh), mesh
+            if obj.mode != "EDIT":  # as viewports show it where modifiers keep the faces, else as it is without them
+                evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+                seen_mesh = evaluated if len(evaluated.polygons) == len(mesh.polygons) else mesh
+            points = arrays.to_world(arrays.vertex_points(seen_mesh), np.array(obj.matrix_world))
+            corners, face = arrays.mesh_triangles(seen_mesh)
+        hidden += int((mask & hides).sum())
+        area = arrays.triangle_areas(points, corners)
+        own, whole = own + float(area[mask[face]].sum()), whole + float(area.sum())
+        seen = ~hides[face] if obj.mode == "EDIT" and hides.any() else slice(None)
+        shapes.append((np.stack([points[:, 0], points[:, 2], -points[:, 1]], -1), corners[seen], face[seen]))
+    count = sum(int(mask.sum()) for _, mask in parts)
+    return LogoStats(count, hidden, own / whole, **_from_the_front(parts, shapes, square))
+
+
+def _from_the_front(parts: list[Part], shapes: list[tuple[np.ndarray, ...]], square: float) -> dict[str, object]:
+    """Measure the projected areas of logo and outline, and which objects cover the logo.
+
+    shapes: of each part vertices [V, 3] as right, up and towards the viewer; triangles [T, 3]; the face of each [T].
+    """
+    low = np.min([points[:, :2].min(0) for points, _, _ in shapes], axis=0)
+    high = np.max([points[:, :2].max(0) for points, _, _ in shapes], axis=0)
+    cell = max(float((high - low).max()), 1e-9) / PIXELS
+    shape = tuple(np.maximum(1, np.ceil((high - low) / cell)).astype(int).tolist())
+    depths, on_logo = [], []
+    for (_, mask), (points, corners, face) in zip(parts, shapes, strict=True):
+        depth, triangle = depth_buffer((points - [*low, 0]) / [cell, cell, 1], corners, shape)
+        depths.append(depth)
+        on_logo.append((triangle >= 0) & np.append(mask[face], False)[triangle])
+    depths, on_logo = np.array(depths), np.array(on_logo)
+    wearing = np.array([index == 0 or mask.any() for index, (_, mask) in enumerate(parts)])
+    bare_depth = depths[wearing].max(0)  # without the pieces that do not wear the logo
+    bare = _of_nearest(on_logo[wearing], depths[wearing])
+    shares = [float((bare & (depth > bare_depth)).sum() / max(1, bare.sum())) for depth in depths]
+    covering = zip(parts, shares, wearing, strict=True)
+    return {
+        "projected_area": float(_of_nearest(on_logo, depths).sum() * cell**2 * square),
+        "whole_projected_area": float(np.isfinite(depths.max(0)).sum() * cell**2 * square),
+        "covered": tuple((o.name, share) for (o, _), share, wears in covering if not wears and share >= WORTH_TELLING),
+    }
+
+
+def _of_nearest(values: np.ndarray, depths: np.ndarray) -> np.ndarray:
+    """[H, W] of values [n, H, W]: in each pixel that of the nearest object."""
+    return np.take_along_axis(values, depths.argmax(0)[None], 0)[0]
+
+
+# --- values that are kept until the mesh changes ----------------------------------------------------------------------
+
 _Key = tuple[str, int, object]
 """What a kept value was computed from: the logo, its object, and whatever else may change the value."""
 
@@ -58,17 +133,18 @@ class _Kept:
     def clear(self) -> None:
         self.key: _Key | None = None
         self.wanted: _Key | None = None
-        self.value, self._seconds = None, 0.0
+        self.value, self.seconds = None, 0.0
         self._drawn: tuple[object, Shape | None] = (None, None)
 
     def get(self, obj: bpy.types.Object, key: _Key) -> object:
         """Return the value; while it is being computed, the last one of the same logo, or None."""
         self.wanted = key
         if self.key != key:
-            if bpy.app.background or (not self.slow and obj.mode != "EDIT"):
+            slow = self.seconds >= BLINK
+            if bpy.app.background or (not slow and obj.mode != "EDIT"):
                 self.update(obj)
             elif not bpy.app.timers.is_registered(_catch_up):
-                bpy.app.timers.register(_catch_up, first_interval=REST if self.slow else 0)
+                bpy.app.timers.register(_catch_up, first_interval=REST if slow else 0)
         return self.value if self.key is not None and self.key[:2] == key[:2] else None
 
     def draw(self, obj: bpy.types.Object, key: _Key, kind: str, color: tuple[float, ...]) -> None:
@@ -79,15 +155,11 @@ class _Kept:
         if self._drawn[1] is not None:
             self._drawn[1].draw(obj.matrix_world)
 
-    @property
-    def slow(self) -> bool:
-        return self._seconds >= BLINK
-
     def update(self, obj: bpy.types.Object) -> None:
         start = time.perf_counter()
         with arrays.current_mesh(obj):
             self.value = self._compute(obj, faces.read_faces(obj, self.wanted[0]))
-        self.key, self._seconds = self.wanted, time.perf_counter() - start
+        self.key, self.seconds = self.wanted, time.perf_counter() - start
 
 
 def active_stats(obj: bpy.types.Object) -> LogoStats | None:
@@ -102,7 +174,9 @@ def _catch_up() -> float | None:
     obj, late = bpy.context.object, [kept for kept in (_stats, _tint, _outline) if kept.wanted != kept.key]
     if not late or obj is None or obj.type != "MESH" or not obj.data:
         return None
-    if time.monotonic() - session.mesh_changed_at < REST and any(kept.slow for kept in late):
+    # Half a million faces take seconds: they wait for as long a rest, so that at most half of the time goes into them.
+    seconds = sum(kept.seconds for kept in late)
+    if seconds >= BLINK and time.monotonic() - session.mesh_changed_at < max(REST, seconds):
         return REST
     key = _key(obj)
     if key is None:

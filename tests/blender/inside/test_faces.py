@@ -11,7 +11,7 @@ from cloak.body.objects import logo_reason
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
 from cloak.logo import operators, overlay
-from cloak.logo.figures import logo_stats
+from cloak.logo.overlay import logo_stats
 from made import centers, make_egg, make_grid, select_only, set_mode
 
 

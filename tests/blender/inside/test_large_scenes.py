@@ -5,6 +5,7 @@ import time
 import bpy
 import numpy as np
 import pytest
+from cloak.blender import faces
 from cloak.body import garments
 from cloak.logo import overlay
 from cloak.poses.export import export_summary, poses_reason
@@ -98,6 +99,18 @@ def test_what_is_kept_equals_what_all_objects_say():
         found.add(frozenset(kept))
     session.keeps = False
     assert len(found) > 30
+
+
+def test_figures_that_take_seconds_wait_for_as_long_a_rest(monkeypatch):
+    obj, kept = make_egg(), overlay._stats
+    faces.new_logo(obj, "chest", np.arange(len(obj.data.polygons)) < 9)
+    overlay.active_stats(obj)
+    session.note_change(geometry=True)
+    kept.seconds, kept.wanted = 3.0, overlay._key(obj)
+    monkeypatch.setattr(session, "mesh_changed_at", time.monotonic() - 1)
+    assert overlay._catch_up() == overlay.REST and kept.key != kept.wanted
+    monkeypatch.setattr(session, "mesh_changed_at", time.monotonic() - 3)
+    assert overlay._catch_up() is None and kept.key == kept.wanted
 
 
 def test_what_lies_on_the_body_and_is_no_mesh_is_named():
