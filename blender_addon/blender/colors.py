@@ -21,12 +21,13 @@ from .marks import (
     OWN_MATERIAL,
     PREFIX,
     SHOWN_BEFORE,
+    lay_uv,
     layer_name,
     make_layer,
     remove_layer,
 )
 from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
-from .pictures import Cloth, cloth_of, image_pixels, lay_uv, pixels_at, show_on
+from .pictures import Cloth, cloth_of, image_pixels, pixels_at, show_on
 
 SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
@@ -76,7 +77,7 @@ def written_colors(obj: bpy.types.Object, role: str = COLORS) -> np.ndarray:
 def show_attribute(obj: bpy.types.Object, role: str = "") -> None:
     """Let Solid viewports show our colour attribute in a role; "" gives mesh and viewports back what they showed."""
     role = role or (OUTFIT if layer_name(obj.data, OUTFIT) else "")
-    (activate if role else show_own)(obj, *filter(None, [role]))
+    activate(obj, role)
     for _, area in areas("VIEW_3D"):
         space = area.spaces.active
         if role and space.shading.color_type != "VERTEX":
@@ -87,25 +88,14 @@ def show_attribute(obj: bpy.types.Object, role: str = "") -> None:
 
 
 def activate(obj: bpy.types.Object, role: str) -> None:
-    """Make our colour attribute in a role the one that viewports and renders show."""
-    mesh, before = obj.data, shown_attribute(obj)
-    if before not in {layer_name(mesh, ours) for ours in (COLORS, HEATMAP, OUTFIT)}:
-        mesh[PREFIX + SHOWN_BEFORE] = before
-    _activate(mesh, layer_name(mesh, role))
-
-
-def show_own(obj: bpy.types.Object) -> None:
-    """Make the colour attribute that the mesh showed before ours the shown one again, if there was one."""
-    mesh = obj.data
-    before = layer_name(mesh, OUTFIT) or mesh.get(PREFIX + SHOWN_BEFORE, "")
-    if before in mesh.color_attributes:
-        _activate(mesh, before)
-
-
-def _activate(mesh: bpy.types.Mesh, name: str) -> None:
-    attributes = mesh.color_attributes
-    attributes.active_color = attributes[name]
-    attributes.render_color_index = attributes.active_color_index
+    """Let viewports and renders show our colour attribute in a role; "" for what the mesh showed before ours."""
+    mesh, shown = obj.data, shown_attribute(obj)
+    if role and shown not in {layer_name(mesh, ours) for ours in (COLORS, HEATMAP, OUTFIT)}:
+        mesh[PREFIX + SHOWN_BEFORE] = shown
+    name = layer_name(mesh, role or OUTFIT) or mesh.get(PREFIX + SHOWN_BEFORE, "")
+    if name in mesh.color_attributes:
+        mesh.color_attributes.active_color = mesh.color_attributes[name]
+        mesh.color_attributes.render_color_index = mesh.color_attributes.active_color_index
 
 
 def shown_attribute(obj: bpy.types.Object) -> str:
@@ -234,8 +224,7 @@ def undress(obj: bpy.types.Object) -> None:
 
 def is_dressed(obj: bpy.types.Object) -> bool:
     """Whether some faces wear the cloak material."""
-    slot = _cloak_slot(obj.data)
-    return slot is not None and bool((_read_slots(obj.data) == slot).any())
+    return bool(worn_cloth(obj.data)[1].any())
 
 
 def own_material_slots(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None) -> np.ndarray:

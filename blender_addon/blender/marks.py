@@ -9,6 +9,7 @@ No name that a user may have typed is ever taken for ours.
 import itertools
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
 
 from ..files.errors import InputError
@@ -79,8 +80,11 @@ def make_layer(obj: bpy.types.Object, role: str) -> bpy.types.Attribute:
     return layer_of(mesh, role)
 
 
-def make_uv_map(obj: bpy.types.Object, role: str) -> bpy.types.MeshUVLoopLayer:
-    """Our UV map in a role, made and marked where the mesh has none; a map of the user's stays the active one."""
+def lay_uv(obj: bpy.types.Object, role: str, uv: np.ndarray) -> str:
+    """Write our UV map in a role, [C, 2], made and marked where the mesh has none; returns its name.
+
+    A map of the user's stays the active one.
+    """
     mesh = obj.data
     if not layer_name(mesh, role):
         shown = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
@@ -90,7 +94,9 @@ def make_uv_map(obj: bpy.types.Object, role: str) -> bpy.types.MeshUVLoopLayer:
         mark(mesh, role, layer.name)
         if shown:
             mesh.uv_layers.active = mesh.uv_layers[shown]
-    return mesh.uv_layers[layer_name(mesh, role)]
+    name = layer_name(mesh, role)
+    mesh.uv_layers[name].uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
+    return name
 
 
 def mark(mesh: bpy.types.Mesh, role: str, name: str) -> None:

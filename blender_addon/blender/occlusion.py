@@ -28,7 +28,11 @@ def seen(
     for triangle, point in meetings(least[:, :2], most[:, :2], points[:, :2]):
         matters = (triangle_face[triangle] != faces[point]) & (most[triangle, 2] > points[point, 2])
         triangle, point = triangle[matters], point[matters]
-        covers, ahead = _over_origin(*(corner[triangle] - points[point] for corner in corners))
+        around = [corner[triangle] - points[point] for corner in corners]
+        parts = areas_around_origin(*around)
+        area = parts.sum(0)
+        covers = ((parts.min(0) >= 0) | (parts.max(0) <= 0)) & (area != 0)
+        ahead = sum(part * corner[:, 2] for part, corner in zip(parts, around, strict=True)) / np.where(covers, area, 1)
         visible[point[covers & (ahead > tolerance)]] = False
     return visible
 
@@ -50,7 +54,11 @@ def meetings(low: np.ndarray, high: np.ndarray, places: np.ndarray) -> Iterator[
     own = cell_of(places) @ np.array([1, side])
     order, count = np.argsort(own), np.bincount(own, minlength=side * side)
     start = np.cumsum(count) - count
-    cells, box = cells_touched(cell_of(low), cell_of(high), side)
+    # The cells under each bounding box, one after the other, and the box of each.
+    lowest, highest = cell_of(low), cell_of(high)
+    columns, rows = (highest - lowest + 1).T
+    box, place = ranges(np.arange(len(low)), np.zeros(len(low), np.int64), columns * rows)
+    cells = lowest[box, 0] + place % columns[box] + side * (lowest[box, 1] + place // columns[box])
     some = np.flatnonzero(count[cells])
     total = int(count[cells].sum())
     for part in np.array_split(some, 1 + total // MAX_PAIRS):
@@ -64,20 +72,25 @@ def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, in
     points: plane coordinates [V, 3], x and y counted in cells. shape: how many cells there are (width, height).
     """
     width, height = shape
-    x, y, z = (points[:, axis][triangles].astype(np.float64) - middle for axis, middle in enumerate((0.5, 0.5, 0)))
-    (right, up, rise), (right2, up2, rise2) = (np.stack([v[:, i] - v[:, 0] for v in (x, y, z)]) for i in (1, 2))
+    # Corner by corner, [3, T], over which numpy is ten times as quick as over [T, 3]. Most triangles of a fine mesh
+    # meet no row of middles and are dropped first.
+    y = points[:, 1].astype(np.float64)[triangles.T] - 0.5
+    first_row, last_row = np.ceil(y.min(0)), np.floor(y.max(0))
+    drawn = np.flatnonzero((first_row <= last_row) & (first_row <= height - 1) & (last_row >= 0))
+    corners = triangles[drawn].T
+    x, z = (points[:, axis].astype(np.float64)[corners] - middle for axis, middle in ((0, 0.5), (2, 0)))
+    y, low, high = y[:, drawn], np.maximum(first_row[drawn], 0), np.minimum(last_row[drawn], height - 1)
+    (right, up, rise), (right2, up2, rise2) = ([v[i] - v[0] for v in (x, y, z)] for i in (1, 2))
     area = right * up2 - right2 * up
     slopes = np.stack([rise * up2 - rise2 * up, right * rise2 - right2 * rise]) / np.where(area == 0, 1, area)
     # Scanlines: each row of middles that a triangle reaches, and between which of its sides it lies there.
-    low, high = (np.clip(v, 0, height - 1).astype(np.int64) for v in (np.ceil(y.min(1)), np.floor(y.max(1))))
-    reaches = (area != 0) & (np.ceil(y.min(1)) <= height - 1) & (np.floor(y.max(1)) >= 0) & (low <= high)
-    drawn = np.flatnonzero(reaches)
-    triangle, row = ranges(drawn, low[drawn], high[drawn] - low[drawn] + 1)
+    shown = np.flatnonzero(area)
+    triangle, row = ranges(shown, low[shown].astype(np.int64), (high - low)[shown].astype(np.int64) + 1)
     left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
     for a, b in ((0, 1), (1, 2), (2, 0)):
-        ya, yb, xa = y[triangle, a], y[triangle, b], x[triangle, a]
+        ya, yb, xa = y[a, triangle], y[b, triangle], x[a, triangle]
         crossed = (np.minimum(ya, yb) <= row) & (row <= np.maximum(ya, yb)) & (ya != yb)
-        at = xa + (row - ya) * (x[triangle, b] - xa) / np.where(crossed, yb - ya, 1)
+        at = xa + (row - ya) * (x[b, triangle] - xa) / np.where(crossed, yb - ya, 1)
         left, right = np.where(crossed, np.minimum(left, at), left), np.where(crossed, np.maximum(right, at), right)
     first = np.clip(np.ceil(left), 0, width).astype(np.int64)
     count = np.maximum(np.clip(np.floor(right), -1, width - 1).astype(np.int64) - first + 1, 0)
@@ -87,19 +100,11 @@ def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, in
     for start, end in zip([0, *groups], [*groups, len(row)], strict=True):
         span, column = ranges(np.arange(start, end), first[start:end], count[start:end])
         cell, of = row[span] * width + column, triangle[span]
-        depth = z[of, 0] + slopes[0, of] * (column - x[of, 0]) + slopes[1, of] * (row[span] - y[of, 0])
+        depth = z[0, of] + slopes[0, of] * (column - x[0, of]) + slopes[1, of] * (row[span] - y[0, of])
         order = np.argsort(depth, kind="stable")  # of several values for one cell the last one written stays
         order = order[depth[order] >= nearness[cell[order]]]
-        nearness[cell[order]], owner[cell[order]] = depth[order], of[order]
+        nearness[cell[order]], owner[cell[order]] = depth[order], drawn[of[order]]
     return nearness.reshape(height, width), owner.reshape(height, width)
-
-
-def cells_touched(low: np.ndarray, high: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """The cells under each bounding box [T, 2] of cells, one after the other, and the box of each."""
-    columns, rows = (high - low + 1).T
-    box, place = ranges(np.arange(len(low)), np.zeros(len(low), np.int64), columns * rows)
-    x, y = low[box, 0] + place % columns[box], low[box, 1] + place // columns[box]
-    return x + side * y, box
 
 
 def ranges(owners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,13 +113,9 @@ def ranges(owners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> tuple[n
     return np.repeat(owners, counts), places
 
 
-def _over_origin(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mask [n] of the triangles with corners [n, 3] that cover the origin, and their inverse depth [n] there."""
-    u, v, w = _turn(b, c), _turn(c, a), _turn(a, b)
-    area, low, high = u + v + w, np.minimum(np.minimum(u, v), w), np.maximum(np.maximum(u, v), w)
-    covers = ((low >= 0) | (high <= 0)) & (area != 0)
-    return covers, (u * a[:, 2] + v * b[:, 2] + w * c[:, 2]) / np.where(covers, area, 1)
+def areas_around_origin(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """[3, n]: twice the signed areas that the origin spans with the sides across from each corner [n, 2 or more].
 
-
-def _turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    Divided by their sum they are the origin's barycentric coordinates.
+    """
+    return np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))])

@@ -7,7 +7,6 @@ import bpy
 import numpy as np
 
 from ..files.errors import InputError
-from .marks import make_uv_map
 
 
 def load_image(path: Path) -> bpy.types.Image:
@@ -78,11 +77,6 @@ METRES = "cloak.metres"  # of a material that shows a ready cloth: after how man
 
 Cloth = tuple[bpy.types.Image, np.ndarray]
 """A cloth's picture, and where the corners of a mesh lie on it, [C, 2]: v up, beyond [0, 1] the picture repeats."""
-
-
-def lay_uv(obj: bpy.types.Object, role: str, uv: np.ndarray) -> None:
-    """Write our UV map in a role, [C, 2], made where there is none."""
-    make_uv_map(obj, role).uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
 
 
 def load_cloth(path: Path) -> bpy.types.Image:

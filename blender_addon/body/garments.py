@@ -139,7 +139,7 @@ def undress(obj: bpy.types.Object) -> None:
     """Give the faces of the body and of its clothing their own material back."""
     for worn in (obj, *worn_by(obj)):
         colors.undress(worn)
-        colors.show_own(worn)
+        colors.activate(worn, "")
 
 
 def faces_over(context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.types.Object, logo: str) -> np.ndarray:

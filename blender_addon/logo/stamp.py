@@ -9,7 +9,7 @@ import numpy as np
 
 from ..blender.evaluated import Surface
 from ..blender.mesh_arrays import box_of, mesh_triangles, vertex_points
-from ..blender.occlusion import seen
+from ..blender.occlusion import depth_buffer, seen
 from ..blender.pictures import image_pixels
 from ..files.errors import InputError
 
@@ -27,28 +27,15 @@ def text_stamp(text: str) -> np.ndarray:
         mesh = carrier.to_mesh()
         if mesh is None or not len(mesh.polygons):
             raise InputError(f"Nothing to see in the text '{text}': the font has no such letters")
-        return _fill(vertex_points(mesh)[:, :2], mesh_triangles(mesh)[0])
+        points = vertex_points(mesh) * [1, 1, 0]
+        low, high = points.min(0), points.max(0)
+        scale = RESOLUTION / max(high - low)
+        width, height, _ = np.maximum(1, np.ceil((high - low) * scale)).astype(int).tolist()
+        return depth_buffer((points - low) * scale, mesh_triangles(mesh)[0], (width, height))[1][::-1] >= 0
     finally:
         carrier.to_mesh_clear()
         bpy.data.objects.remove(carrier)
         bpy.data.curves.remove(curve)
-
-
-def _fill(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Scanline fill, nonzero winding, of triangles [T, 3] that turn the same way."""
-    low, high = points.min(0), points.max(0)
-    scale = RESOLUTION / max(high - low)
-    width, height = np.maximum(1, np.ceil((high - low) * scale)).astype(int)
-    places, rows = (points - low) * scale, np.arange(height) + 0.5
-    starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    rises = places[ends, 1] > places[starts, 1]
-    below, above = places[np.where(rises, starts, ends)], places[np.where(rises, ends, starts)]
-    edge, row = np.nonzero((below[:, 1:] <= rows) & (rows < above[:, 1:]))
-    way = (rows[row] - below[edge, 1]) / (above[edge, 1] - below[edge, 1])
-    column = np.ceil(below[edge, 0] + way * (above[edge, 0] - below[edge, 0]) - 0.5).astype(int)
-    winding = np.zeros((height, width + 1), int)
-    np.add.at(winding, (row, np.clip(column, 0, width)), np.where(rises[edge], 1, -1))
-    return winding.cumsum(1)[::-1, :width] != 0
 
 
 def smiley_stamp() -> np.ndarray:

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.marks import CLOTH, COLORS, UV_MAP, layer_name, make_uv_map, our_names
+from ..blender.marks import CLOTH, COLORS, UV_MAP, lay_uv, layer_name, our_names
 from ..blender.mesh_arrays import (
     corner_counts,
     mean_of_corners,
@@ -20,7 +20,7 @@ from ..blender.mesh_arrays import (
     triangle_areas,
     triangle_corners,
 )
-from ..blender.occlusion import depth_buffer
+from ..blender.occlusion import areas_around_origin, depth_buffer
 from ..blender.pictures import image_pixels, new_image, pixels_at, show_on, show_preview
 from ..files.errors import InputError
 from ..ui.window import show_progress
@@ -109,9 +109,8 @@ def _sew(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray) -> None:
     y, x = np.nonzero(triangle >= 0)
     triangle = triangle[y, x]
     # Barycentric coordinates of the texels' middles.
-    a, b, c = (places[triangle, corner] - np.stack([x, y], 1) - 0.5 for corner in range(3))
-    areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))], 1)
-    weights = areas / areas.sum(1, keepdims=True)
+    parts = areas_around_origin(*(places[triangle, corner] - np.stack([x, y], 1) - 0.5 for corner in range(3)))
+    weights = (parts / parts.sum(0)).T
     sewn = read(mesh.uv_layers[layer_name(mesh, CLOTH)].uv, "vector", 2)[corners[triangle]]
     pixels[y, x, :3] = pixels_at(image_pixels(image), (sewn * weights[..., None]).sum(1))[:, :3]
 
@@ -135,8 +134,7 @@ def make_own_map(obj: bpy.types.Object, size: int) -> str:
     around /= np.abs(around).max(1, keepdims=True)  # from a circle onto the square
     middle = (np.stack([face % side, face // side], -1) + 0.5) * step
     places = (middle + around * (step / 2 - 0.5)) / size
-    make_uv_map(obj, UV_MAP).uv.foreach_set("vector", places.astype(np.float32).ravel())
-    return layer_name(mesh, UV_MAP)
+    return lay_uv(obj, UV_MAP, places)
 
 
 def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
