@@ -14,7 +14,8 @@ import bpy
 
 from . import headless, properties, translations
 from .logo import overlay, paint
-from .result import cloths, eye, ring
+from .result import eye, ring
+from .result import operators as wearing
 from .session import session
 from .trainer import jobs, preferences
 from .training import run_list
@@ -23,12 +24,11 @@ from .ui import drawing
 WITH_CLASSES = (
     *("trainer.operators", "body.operators", "logo.operators", "logo.paint"),
     *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.judging"),
-    "result.cloths",
     *("trainer.panel", "body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel"),
 )
 """Modules whose classes are registered, in the order of the panels."""
 ROOMS = (properties, run_list)  # modules that register something before the classes
-WATCHERS = (drawing.HOOKS, overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, cloths, translations)
+WATCHERS = (drawing.HOOKS, overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, wearing, translations)
 """Objects that register something after the classes."""
 _commands: list[object] = []  # of the command line: `blender --command cloak`
 CLASSES = (
