@@ -9,7 +9,7 @@ training as on the model.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import bpy
 import numpy as np
@@ -215,24 +215,20 @@ def _squared(vectors: np.ndarray) -> np.ndarray:
 
 def joined(surfaces: Sequence[Surface]) -> Surface:
     """Several surfaces as one: their evaluated faces, and their meshes' own ones, numbered through."""
-    middle = surfaces[0].middle
-    away = [(surface.middle - middle).astype(np.float32) for surface in surfaces]
-    vertices, faces, own = (
-        np.cumsum([0, *counts])[:-1]
-        for counts in zip(*((len(s.points), len(s.centers), s.own_count) for s in surfaces), strict=True)
-    )
-    return Surface(
-        middle,
-        points=np.concatenate([s.points + step for s, step in zip(surfaces, away, strict=True)]),
-        centers=np.asfortranarray(np.concatenate([s.centers + step for s, step in zip(surfaces, away, strict=True)])),
-        normals=np.concatenate([s.normals for s in surfaces]),
-        reach_squared=np.concatenate([s.reach_squared for s in surfaces]),
-        shown=np.concatenate([s.shown for s in surfaces]),
-        corners=np.concatenate([s.corners + first for s, first in zip(surfaces, vertices, strict=True)]),
-        face=np.concatenate([s.face + first for s, first in zip(surfaces, faces, strict=True)]),
-        own=np.concatenate([np.where(s.own < 0, -1, s.own + first) for s, first in zip(surfaces, own, strict=True)]),
-        own_count=sum(s.own_count for s in surfaces),
-    )
+    middle, parts = surfaces[0].middle, []
+    vertices = faces = own_faces = 0
+    for one in surfaces:
+        away = (one.middle - middle).astype(np.float32)
+        moved = {"points": one.points + away, "centers": one.centers + away, "corners": one.corners + vertices}
+        own = np.where(one.own < 0, -1, one.own + own_faces)
+        parts.append(replace(one, **moved, face=one.face + faces, own=own))
+        vertices += len(one.points)
+        faces += len(one.centers)
+        own_faces += one.own_count
+    names = [field.name for field in fields(Surface) if field.name not in ("middle", "own_count")]
+    arrays_by_name = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    arrays_by_name["centers"] = np.asfortranarray(arrays_by_name["centers"])
+    return Surface(middle=middle, own_count=own_faces, **arrays_by_name)
 
 
 def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:

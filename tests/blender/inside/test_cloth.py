@@ -228,12 +228,14 @@ def test_every_cloth_of_ours_is_an_asset(library):
 
 def test_a_cloth_is_laid_as_large_as_it_is_printed(library):
     obj = wall(0.5)
+    obj.data.uv_layers.new(name="cloak.ready_cloth").uv.foreach_set("vector", np.full(72, 0.25, np.float32))
     with pytest.raises(RuntimeError, match="drag one from the Asset Browser"):
         bpy.ops.cloak.lay_cloth()
     obj.data.materials.append(take(library, "print-dots"))
     bpy.ops.cloak.lay_cloth()
-    uv = mesh_arrays.read(obj.data.uv_layers["cloak.ready_cloth"].uv, "vector", 2)
+    uv, users = (mesh_arrays.read(obj.data.uv_layers[f"cloak.ready_cloth{n}"].uv, "vector", 2) for n in (".001", ""))
     assert np.allclose([uv.min(0), uv.max(0)], [[-1, -1], [1, 1]], atol=1e-5), "two pieces of 25 cm along half a metre"
+    assert np.allclose(users, 0.25), "the user's map of that name is left alone"
     assert obj.data.uv_layers.active.name == "UVMap", "the user's own"
     (node,) = (n for n in obj.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeUVMap")
-    assert node.uv_map == "cloak.ready_cloth"
+    assert node.uv_map == "cloak.ready_cloth.001"

@@ -141,16 +141,6 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     assert "no colours yet" in result_reason(bpy.context)
 
 
-def test_the_cloak_is_saved_with_the_file(tmp_path):
-    _obj, run = dressed_body(tmp_path)
-    bpy.ops.cloak.result_load()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "cloaked.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
-    obj = bpy.data.objects["Body"]
-    assert np.allclose(colors.written_colors(obj)[[3, 4, 50]], [1, 0, 0], atol=1e-6)
-    assert colors.is_dressed(obj) and obj.cloak.run == f"//{run.name}"
-
-
 def test_live_colours_update_only_when_there_is_something_new(tmp_path):
     import os
 
