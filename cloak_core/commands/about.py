@@ -15,7 +15,7 @@ from cloak_core.commands.base import Command, out
 
 @dataclass(kw_only=True)
 class Version(Command):
-    """Say which version this is, and of what it is made: what a report of a defect begins with."""
+    """Print the version and those of its parts, for reports of defects."""
 
     def run(self) -> dict:
         from cloak_core.files.identity import package_versions
@@ -39,7 +39,7 @@ class Completion(Command):
     example = "bash"
 
     shell: Positional[Literal["bash", "zsh", "fish"]]
-    """The shell: bash, zsh or fish."""
+    """bash, zsh or fish."""
 
     def run(self) -> dict:
         from cloak_core.cli import COMMANDS, load

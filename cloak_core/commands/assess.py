@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 class Assess(Splitting, Detecting, Sharing):
     """Measure how robust detectors are, by a fixed protocol: a card for each.
 
-    A card is figures and a page that opens offline. The same command goes on where it stopped; without any SPEC the
-    pages and the leaderboard are written again from the cards in --out.
+    A card is figures and an offline page. The same command goes on where it stopped; without SPECS it writes pages and
+    leaderboard again.
     """
 
     example = "builtin --quick --out cards"
 
     specs: Positional[tuple[str, ...]] = ()
-    """Detectors, as in cloak train; a detector without gradients gets the black-box part alone."""
+    """Detectors (cloak detectors list); one without gradients gets the black-box part alone."""
     out: Path
-    """Folder for NAME/card.json, NAME/card.html and NAME/card.md, and card.html over all detectors."""
+    """Folder for NAME/card.json, card.html and card.md, and card.html over all."""
     size: Literal["quick", "standard", "full"] | None = None
     """quick: the largest cloak, ten minutes at 100 ms an image; standard (default): four areas, an hour; full: three
     seeds."""
@@ -44,23 +44,21 @@ class Assess(Splitting, Detecting, Sharing):
     full: bool = False
     """--size full."""
     minutes: float | None = None
-    """For each card, take the largest size that fits into this number of minutes on this machine."""
+    """Take the largest size that fits into so many minutes a card."""
     people: str | None = None
-    """People in photographs, who wear the largest cloak, another detector's and the patterns."""
     patterns: tuple[str, ...] = ()
-    """Published patterns to wear: FILE.png[@tile=METRES | @patch=METRES], or a folder with patterns.toml."""
+    """Published patterns: FILE.png[@tile=METRES | @patch=METRES], or a folder with patterns.toml."""
     logo: str | None = None
-    """Regions that patterns cover, shirt+trousers+hood (default: shirt and trousers)."""
+    """(default: shirt and trousers)"""
     zoo: UseAppendAction[tuple[str, ...]] = ()
-    """Entries of the zoo to show it (default: all that these bodies can wear)."""
+    """Entries of the zoo to show (default: all that these bodies can wear)."""
     seed: int = 0
-    """Every random draw derives from it."""
     leaderboard: Path | None = None
-    """Markdown file that takes a table of all cards in --out."""
+    """Markdown file for a table of all cards in --out."""
     gate: Path | None = None
     """TOML file of bounds on figures of card.json, [min] and [max]; exit code 1 where one is broken."""
     junit: Path | None = None
-    """JUnit XML file of the bounds in --gate, for CI."""
+    """JUnit XML file of --gate's bounds, for CI."""
 
     def run(self) -> dict:
         from cloak_core.detectors.naming import full_spec
@@ -202,18 +200,18 @@ class Assess(Splitting, Detecting, Sharing):
 class Add(Detecting):
     """Check robustness cards, every figure by the rows beside it, and put them into a leaderboard's folder.
 
-    A card replaces the one of the same detector and size. Where one does not hold, nothing is written.
+    They replace those of the same detector and size; nothing is written where one does not hold.
     """
 
     example = "cards/builtin --to leaderboard"
     then = "leaderboard build {to}"
 
     cards: Positional[tuple[str, ...]]
-    """Folders that cloak assess wrote (CARDS/NAME), or their card.json."""
+    """Folders of cloak assess (CARDS/NAME), or their card.json."""
     to: Path = Path("leaderboard")
-    """Folder of cards that is the leaderboard's source."""
+    """Folder of the leaderboard's cards."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors that are at hand, by the cards' specs: cards are held against them, too."""
+    """Detectors at hand, by the cards' specs: cards are held against them, too."""
 
     def run(self) -> dict:
         from cloak_core.studies.card.board import add_cards
@@ -238,7 +236,7 @@ class Build(Command):
     example = "leaderboard"
 
     folder: Positional[Path]
-    """Folder of cards: NAME/card.json, with the rows beside it."""
+    """Folder of cards: NAME/card.json, with rows beside it."""
 
     def run(self) -> dict:
         from cloak_core.studies.card.board import build_board

@@ -48,7 +48,7 @@ class Command:
     next_why: ClassVar[str] = ""
     """What that is good for."""
     json: bool = False
-    """Print one machine-readable object on standard output, everything else on standard error."""
+    """Print one JSON object; everything else goes to standard error."""
 
     def run(self) -> dict:
         raise NotImplementedError

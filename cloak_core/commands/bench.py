@@ -50,11 +50,8 @@ class Timed(Bench):
     """A command whose figures are medians of times."""
 
     threads: int = 2
-    """Threads torch may use."""
     repeats: int = 20
-    """Timed repetitions behind each median."""
     device: str = "cpu"
-    """Torch device."""
 
 
 @dataclass(kw_only=True)
@@ -65,9 +62,8 @@ class Views(Timed):
     then = "bench accuracy --scene {scene} --only bench"
 
     scene: Path
-    """Scene folder or .npz."""
     samples: Literal[1, 4, 16, 64, "area"] | None = None
-    """Samples per pixel, or coverage by area: this alone is timed (default: 1, and all of them in short)."""
+    """Samples per pixel, or coverage by area (default: 1, and all in short)."""
 
     def run(self) -> dict:
         from cloak_core.bench.views import run_bench_views
@@ -82,20 +78,17 @@ class Step(Photographed, Timed):
     example = "--detector builtin"
 
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors, each timed alone (default: builtin)."""
+    """(default: builtin)"""
     scene: str = "sample:train"
-    """Scene folder, .npz, or sample[:train]."""
     people: str | None = None
-    """People in photographs as views, with a cloth (preset photographs), instead of the scene's bodies."""
     backgrounds: str = "procedural:train"
-    """Folder of images, or procedural[:train]."""
     batch: int = 8
     """Images per update."""
     distance: Range = Range(2.2, 2.2)
-    """Camera distance in metres; LOW:HIGH builds a fresh view for every image."""
+    """Camera distance, metres; LOW:HIGH draws one per image."""
     rendering: Annotated[OmitArgPrefixes[RenderOptions], arg(name="rendering")] = field(default_factory=RenderOptions)
     out: Path | None = None
-    """CSV file to write the table to."""
+    """New CSV file for the table."""
 
     def run(self) -> dict:
         from cloak_core.bench.step import run_bench_step, write_table
@@ -141,9 +134,9 @@ class Detectors(Timed):
     example = "--detector builtin"
 
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors to time (default: builtin)."""
+    """(default: builtin)"""
     batch: int = 4
-    """Images at once."""
+    """Images that detectors see at once."""
     repeats: int = 9
     out: Path | None = None
     """New CSV file for the table."""
@@ -172,15 +165,12 @@ class Accuracy(Bench):
     then = "bench growth --quick"
 
     scene: str
-    """Scene folder, .npz, or sample."""
     only: UseAppendAction[tuple[str, ...]] = ()
     """Some of bench, distant, close-up, million, shell-5mm, shell-1mm, shell-0.1mm, garment, hair, cards, soup."""
     threads: int = 2
-    """Threads torch and the peers may use."""
     repeats: int = 10
-    """Timed repetitions behind each median; more where they are short."""
     out: Path | None = None
-    """Folder for the numbers and a plot; scenes measured there earlier stay beside these."""
+    """Folder for the figures; earlier ones stay beside these."""
 
     def run(self) -> dict:
         from cloak_core.bench.accuracy import run_bench_accuracy
@@ -198,17 +188,15 @@ class Growth(Photographed, Bench):
     only: UseAppendAction[tuple[str, ...]] = ()
     """Some of triangles, views, pixels, samples, detectors, squares, people (which needs --people)."""
     people: str | None = None
-    """People in photographs, of whom 100 to 10,000 others are made."""
     most: int | None = None
     """Leave out larger sizes than this."""
     quick: bool = False
     """Leave out the largest sizes."""
     threads: int = 2
-    """Threads torch may use."""
     memory: float = 2.0
     """Budget for kept views, GiB."""
     out: Path | None = None
-    """Folder for the numbers; series measured there earlier stay beside these."""
+    """Folder for the figures; earlier ones stay beside these."""
 
     def run(self) -> dict:
         from cloak_core.bench.growth import run_bench_growth
@@ -225,7 +213,7 @@ class Gpu(Photographed, Bench):
     example = "--out gpu.json"
 
     scene: str | None = None
-    """Scene whose first pose the views show (default: a sphere of 55,000 triangles)."""
+    """(default: a sphere of 55,000 triangles; first pose)"""
     out: Path | None = None
     """JSON file to write."""
 

@@ -31,11 +31,10 @@ class Demo(Computing):
     next_why = "what was trained for longer; docs/tutorial.md begins at the beginning"
 
     out: Path = Path("runs/demo")
-    """Run folder; a demo that was interrupted there goes on, one that is complete is evaluated again."""
+    """Run folder; an interrupted demo goes on there, a complete one is evaluated again."""
     steps: int = 360
     """Updates of the colours."""
     seed: int = 0
-    """Every random draw derives from it."""
 
     def run(self) -> dict:
         from cloak_core.core.logo import select_region

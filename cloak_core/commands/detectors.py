@@ -26,7 +26,8 @@ LOW = 0.1
 
 @dataclass(kw_only=True)
 class Check(Photographed, Detecting):
-    """Show what a detector says of a photograph, of clean renders, or of people in photographs.
+    """Show what a detector says of a photograph (--image), of renders (--scene, --backgrounds) or of people in
+    photographs (--people).
 
     Of `masked=SIDE:SPEC` also the certified recall: people whom no patch of SIDE pixels can hide.
     """
@@ -34,23 +35,18 @@ class Check(Photographed, Detecting):
     example = "builtin --image person.jpg --out seen.png"
 
     spec: Positional[str]
-    """Detector, as in cloak train."""
     image: Path | None = None
     """Photograph to look at."""
     out: Path | None = None
-    """With --image: picture with the boxes drawn, to write."""
+    """Picture to write, with the boxes of --image."""
     threshold: float = 0.6
-    """With --image: boxes above this score are listed and drawn; lower it where a file's scores are low."""
+    """Score above which a person counts as detected."""
     scene: str | None = None
-    """Bodies to render: scene folder, .npz, or sample:unseen."""
     backgrounds: str | None = None
-    """With --scene: folder of images, or procedural:test."""
     angles: Angles = Angles((-10.0, 0.0, 10.0))
-    """With --scene: azimuths in degrees."""
     seed: int = 0
-    """With --scene: every random draw derives from it."""
     patterns: bool = False
-    """With --scene: also show it patterned cloth that nobody wears, before the backgrounds."""
+    """With --scene: also show patterned cloth that nobody wears."""
 
     def run(self) -> dict:
         self.prepare()
@@ -139,13 +135,12 @@ class Verify(Watched):
     example = "onnx:net.onnx --images photographs"
 
     specs: Positional[tuple[str, ...]]
-    """Detectors, as in cloak train."""
     images: Path | None = None
     """Folder of photographs to ask about, beside the renders."""
     renders: int = 4
-    """Renders of the sample bodies to ask about."""
+    """Renders of sample bodies to ask about."""
     against: str | None = None
-    """The same network in another form, to agree with (default: the file's own runtime, or the network as trained)."""
+    """The same network in another form (default: the file's own runtime, or as trained)."""
 
     def run(self) -> dict:
         self.prepare()
@@ -208,10 +203,10 @@ class Look(Detecting):
 
     request: Positional[Path]
     """JSON: scene, out (a folder), and any of logo, colors, cloth, pose, outfit, azimuth, elevation, distance,
-    field_of_view, pivot, width, height, backgrounds, background. -: one such object a line from standard input; answers
+    field_of_view, pivot, width, height, backgrounds, background. -: one such object a line from standard input. Answers
     go to OUT/look.json."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors to look with; builtin where none is named."""
+    """(default: builtin)"""
 
     def run(self) -> dict:
         self.prepare()

@@ -20,29 +20,28 @@ from cloak_core.core.settings.values import Angles
 
 @dataclass(kw_only=True)
 class Evaluate(OnUnseen, Photographed, Watched):
-    """Measure a trained cloak on unseen bodies and backgrounds, beside controls."""
+    """Measure a trained cloak on unseen bodies and backgrounds, beside controls.
+
+    With --people: on people in photographs instead, into RUN/evaluation-people.
+    """
 
     example = "runs/first"
     next_why = "one page with pictures"
 
     colors: str | None = None
-    """Other colours on the run's logo, into RUN/evaluation-NAME: FILE.npy, a picture on the UV map,
-    FILE.png@tile=METRES, print:NAME@tile=METRES, pattern:NAME, another run, or zoo:NAME."""
+    """Other colours, into RUN/evaluation-NAME: FILE.npy, a picture on the UV map, FILE.png@tile=METRES,
+    print:NAME@tile=METRES, pattern:NAME, a run, zoo:NAME; with --people FILE.png@patch=METRES."""
     logo: str | None = None
-    """Regions or a face list that a cloth or picture covers instead of the run's logo; into RUN/evaluation-LOGO."""
     profile: Path | None = None
-    """Profile (`cloak calibrate`): judge the colours as `cloak print --profile` prints them; into
-    RUN/evaluation-printed."""
+    """Profile (`cloak calibrate`): judge colours as printed by it, into RUN/evaluation-printed."""
     out: Path | None = None
-    """Folder for the evaluation, which replaces another one there (default: RUN/evaluation)."""
+    """Folder for the evaluation; another one there is replaced (default: RUN/evaluation)."""
     people: str | None = None
-    """Judge on people in photographs instead, into RUN/evaluation-people; --colors takes FILE.png@patch=METRES, too."""
     over_time: bool = False
-    """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png."""
+    """Also judge the snapshots of training (--snapshot-every): RUN/curve.json, curve.png."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors to judge with (default: those it was trained against)."""
+    """(default: those it was trained against)"""
     angles: Angles = Angles.parse("-10:10:1")
-    """Azimuths in degrees: A:B:STEP or a comma list."""
     settings: Annotated[OmitArgPrefixes[EvaluateSettings], arg(name="evaluation")] = field(
         default_factory=EvaluateSettings
     )
@@ -130,7 +129,7 @@ class Report(Command):
     example = "runs/first"
 
     run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote."""
+    """Run folder of `cloak train`."""
 
     def run(self) -> dict:
         from cloak_core.products.run_report import make_report

@@ -19,9 +19,9 @@ from cloak_core.files.writing import require_new
 
 @dataclass(kw_only=True)
 class Film(OnUnseen, Watched):
-    """Film a trained cloak in motion beside its own clothing.
+    """Film a trained cloak in motion beside own clothing.
 
-    The scene's poses in their order are the motion, again and again; the background stays as it is.
+    The scene's poses in their order are the motion; the background stays.
     """
 
     example = "runs/first --scene sample-clothed:unseen --out walk.mp4"
@@ -29,13 +29,12 @@ class Film(OnUnseen, Watched):
     next_why = "sheets to print and sew"
 
     out: Path
-    """NAME.mp4 (extra film), NAME.gif, or a new folder for PNGs; every frame's figures stand beside it as .json."""
+    """NAME.mp4 (extra film), NAME.gif, or a new folder of PNGs; frames' figures go beside it, .json."""
     colors: str | None = None
-    """Film these colours on the run's logo instead, as in cloak evaluate."""
+    """Other colours, as in cloak evaluate."""
     logo: str | None = None
-    """Regions or a face list that a cloth or picture covers, as in cloak evaluate."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors to watch with (default: those it was trained against)."""
+    """(default: those it was trained against)"""
     settings: Annotated[OmitArgPrefixes[FilmSettings], arg(name="film")] = field(default_factory=FilmSettings)
 
     def run(self) -> dict:
@@ -82,30 +81,23 @@ def _rows(told: dict, thresholds: dict[str, float]) -> Iterator[tuple[str, ...]]
 
 @dataclass(kw_only=True)
 class Coco(OnUnseen, Computing):
-    """Write renders of a run as a data set in COCO's format, each in own clothing and cloaked."""
+    """Write renders of a run as a data set in COCO's format, in own clothing and cloaked."""
 
     example = "runs/first --out dataset"
 
     out: Path
     """New folder: images/ and annotations.json."""
     angles: Angles = Angles.parse("-10:10:5")
-    """Azimuths in degrees: A:B:STEP or a comma list."""
     format: Literal["jpg", "png"] = "jpg"
-    """Of the images; jpg is written with quality 95, png is exact."""
+    """jpg (quality 95) or png (exact)."""
     images_per_view: int = 1
-    """Images (background, shift, outfit) of every body at every angle, elevation and distance."""
     most_images: int | None = None
-    """At most this number of them, drawn by the seed; each is written twice."""
     distances: tuple[float, ...] = (2.2,)
-    """Camera distances, metres."""
     elevations: tuple[float, ...] = (6.0,)
-    """Camera elevations, degrees."""
     size: int = 416
-    """Width and height of the images, pixels."""
     shift: int | None = None
-    """The body is moved by up to this many pixels along both axes (default: an eighth of the size, at most 50)."""
+    """(default: an eighth of the size, at most 50)"""
     seed: int = 0
-    """Every random draw derives from it."""
 
     def run(self) -> dict:
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds

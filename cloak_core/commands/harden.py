@@ -29,32 +29,26 @@ MOST_HOURS = 10_000
 class Harden(Photographed, Computing):
     """Harden a detector against cloaks, by adversarial fine-tuning without labels.
 
-    The result is a detector of the same format. Give --photos and --people where you have them: renders alone teach
-    less. Ctrl-C, or a file `cancel` in --out, ends it in order (exit code 3); --resume goes on.
+    The result has the same format. Give --photos and --people: renders alone teach less. Ctrl-C, or a file `cancel` in
+    --out, stops it (exit code 3); --resume goes on.
     """
 
     example = "builtin --steps 300 --out hardened"
     next_why = "cloaks that are trained against it anew judge it"
 
     spec: Positional[str]
-    """Detector: builtin, onnx:FILE, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE], ultralytics:FILE.pt,
-    python:FILE:FUNCTION."""
     out: Path
-    """Folder to write; a new one unless --resume."""
+    """New folder to write, or the one to --resume."""
     resume: bool = False
-    """Continue the hardening in --out from its last checkpoint."""
     hours: float | None = None
-    """Hours that it may take, cards aside: a few updates are timed, and --steps is set to fill that time."""
+    """Hours to take, without cards: --steps is set by timing a few updates."""
     scene: str = "sample:train"
-    """Bodies in cloaks: scene folder, .npz, or sample[:train]."""
     backgrounds: str = "procedural:train"
-    """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     photos: str | None = None
-    """Folder of photographs, with people or without, in which the detector is to keep what it reported."""
+    """Folder of photographs, with people or without, in which the detector keeps its answers."""
     people: str | None = None
-    """People in photographs, who wear the cloaks, too."""
     assess: bool = True
-    """Leave out the robustness cards of the detector before and after in OUT/cards (twenty minutes)."""
+    """Make no robustness cards before and after in OUT/cards (twenty minutes)."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
 
     def run(self) -> dict:

@@ -18,11 +18,45 @@ from tyro.conf import Positional
 
 from cloak_core.commands.base import Command
 
-COLUMN = 26
+COLUMN = 30
 """Where explanations begin."""
 WORDS = {Path: "PATH", str: "TEXT", int: "N", float: "X"}
 POSITIONAL = typing.get_args(Positional[int])[-1]
 """How tyro marks an option that stands without a name."""
+SHARED = {
+    "scene": "Bodies: scene folder, .npz, or sample[:train|unseen].",
+    "people": "People in photographs: COCO file of masks, and keypoints or BlazePose landmarks; FILE[0::2] takes every "
+    "second photograph.",
+    "images": "Folder of these photographs (default: beside the file, or images/ there).",
+    "backgrounds": "Images without people: folder, or procedural[:train|test][:COUNT[:SEED]].",
+    "detector": "Detector: builtin, onnx:FILE, darknet:CFG:WEIGHTS ... (cloak detectors list).",
+    "logo": "Faces to colour: face list (.npy), or regions of the scene, chest+thighs.",
+    "angles": "Azimuths, degrees: FIRST:LAST:STEP with LAST included, or a comma list.",
+    "distances": "Camera distances, metres.",
+    "elevations": "Camera elevations, degrees.",
+    "size": "Width and height of the images, pixels.",
+    "shift": "Move the body by up to so many pixels along both axes.",
+    "images_per_view": "Images of every body at every angle, elevation and distance.",
+    "most_images": "Most images; fewer are drawn by the seed.",
+    "hide": "What cloaks hide: the class person, or every class on the body.",
+    "steps": "Updates of the colours.",
+    "seed": "Seed of every random draw.",
+    "seeds": "Repetitions, each with another seed.",
+    "detectors_per_step": "Detectors to ask in each step, drawn at random (default: all).",
+    "repeats": "Timed repetitions behind each median.",
+    "device": "Torch device: auto (CUDA where it works, else CPU), cpu, cuda, cuda:1.",
+    "threads": "CPU threads of torch; equal bits need equal numbers.",
+    "dpi": "Pixels per inch of the texture.",
+    "palette": "File of printable colours, one a line: three numbers in [0, 1] or #rrggbb; or a GIMP .gpl.",
+    "resume": "Continue --out from its last checkpoint.",
+    "redraw": "Write tables and figures again from the numbers in --out; measure nothing.",
+    "publish": "Folder of records, which takes these rows under the name of --out.",
+    "ray": "Ray cluster for the work: local, or an address (auto, HOST:6379, ray://HOST:10001) that sees the same "
+    "files; each run takes --threads cores.",
+}
+"""What an option of several commands means, by the name of its field: for fields without words of their own, or whose
+own words, in brackets, say more or what the default is."""
+SHARED |= dict.fromkeys(("spec", "specs"), SHARED["detector"])
 GROUPS_ORDER = {"Detectors": 0, "Computing": 2}
 """Which groups of options begin and end the help; the others stand between them, as they come."""
 
@@ -35,8 +69,10 @@ class Option:
     """As it is typed: --steps; RUN_FOLDER where it stands without a name."""
     takes: str
     """What stands behind it: N; "" for a switch."""
+    default: str
+    """What it is where nobody gives it; "" for a switch, or where the words say it."""
     words: str
-    """What it means, and its default."""
+    """What it means."""
     kind: object
     """The type of its value."""
     group: tuple[str, str] = ("Options", "")
@@ -83,20 +119,25 @@ def _option(
 ) -> Option:
     words = next((extra.help for extra in extras if getattr(extra, "help", None)), None)
     words = words or _documented(cls).get(field.name, "")
+    told = re.fullmatch(r"\(default: (.*)\)", words)
+    if not words or words.startswith("("):
+        words = f"{SHARED.get(field.name, '')} {'' if told else words}".strip()
     is_positional = POSITIONAL in extras
     is_needed = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    if is_needed:
-        words += "" if is_positional else " (required)"
-    elif value is not None and type(value) is not bool and value not in ((), "") and "(default" not in words:
-        words += f" (default: {' '.join(map(str, value)) if type(value) is tuple else value})"
+    is_said = is_needed or value is None or type(value) is bool or "(default" in words
+    default = "" if is_said else " ".join(map(str, value)) if type(value) is tuple else str(value)
+    default = told[1] if told else default
+    if is_needed and not is_positional:
+        group = ("Required", "")
     if is_positional:
+        group = ("Arguments", "")
         flag, takes = field.name.upper(), "..." if typing.get_origin(kind) is tuple else ""
     else:
         flag = ("--no-" if kind is bool and value is True else "--") + named.replace("_", "-")
         takes = _takes(kind)
     if any(repr(extra) == "UseAppendAction" for extra in extras):
-        words, takes = f"{words} May be repeated.", _takes(typing.get_args(kind)[0])
-    return Option(flag, takes, words, kind, group, is_positional, is_needed)
+        words, takes = f"{words} Repeatable.", _takes(typing.get_args(kind)[0])
+    return Option(flag, takes, default, words, kind, group, is_positional, is_needed)
 
 
 def _takes(kind: object) -> str:
@@ -134,7 +175,7 @@ def all_commands(groups: dict[str, dict[str, type[Command]]]) -> str:
     for title, commands in groups.items():
         lines += ["", f"{title}:"]
         for name, cls in commands.items():
-            lines += _entry(f"cloak {name}", summary(cls.__doc__ or ""), COLUMN + 2)
+            lines += _entry(f"cloak {name}", summary(cls.__doc__ or ""), COLUMN - 2)
     return "\n".join(lines) + "\n"
 
 
@@ -152,15 +193,15 @@ def one_command(cls: type[Command], name: str, default: Command | None, everythi
     shown = options
     if cls.common and not everything:
         by_flag = {option.flag: option for option in options}
-        shown = [dataclasses.replace(by_flag[f"--{word}"], group=("Options", "")) for word in cls.common]
-    arguments = [option for option in shown if option.is_positional]
-    named = [option for option in shown if not option.is_positional]
-    parts = [(("Arguments", ""), arguments)] * bool(arguments)
-    parts += [(group, [*some]) for group, some in itertools.groupby(named, lambda option: option.group)]
-    for (title, about), some in parts:
+        options_shown = [by_flag[f"--{word}"] for word in cls.common]
+        shown = [dataclasses.replace(o, group=o.group if o.is_needed else ("Options", "")) for o in options_shown]
+    shown.sort(key=lambda option: (not option.is_positional, not option.is_needed))
+    for (title, about), some in itertools.groupby(shown, lambda option: option.group):
+        title = "Options [default]" if title == "Options" else title
         lines += ["", *_wrapped(f"{title}: {about}".rstrip(), _width())]
         for option in some:
-            lines += _entry(f"{option.flag} {option.takes}".rstrip(), option.words, COLUMN)
+            default = f"[{option.default}]" if option.default else ""
+            lines += _entry(" ".join(filter(None, (option.flag, option.takes, default))), option.words, COLUMN)
     if len(shown) < len(options):
         lines += ["", f"{len(options) - len(shown)} more options: cloak {name} --help-all"]
     return "\n".join(lines) + "\n"

@@ -33,18 +33,17 @@ def show_logo(result: dict) -> None:
 
 @dataclass(kw_only=True)
 class Select(Command):
-    """Take faces by named region or by box into a face list (.npy)."""
+    """Take faces by region or by box into a face list (.npy)."""
 
     example = "--scene sample --region chest+thighs --out chest.npy"
 
     scene: str
-    """Scene folder, .npz, or sample."""
     out: Path
     """Face list to write, with its sidecar .json."""
     region: str | None = None
-    """Named regions joined by +, such as chest+thighs (cloak scene info lists them)."""
+    """Regions joined by +, such as chest+thighs (cloak scene info lists them)."""
     box: str | None = None
-    """x0,x1,y0,y1,z0,z1 in metres, in the first pose: faces whose centre lies inside."""
+    """x0,x1,y0,y1,z0,z1, metres in the first pose: faces whose centre lies inside."""
     facing: Literal["front", "back", "left", "right", "any"] = "any"
     """With --box: only faces whose normal points that way."""
 
@@ -73,22 +72,21 @@ def parse_box(text: str) -> tuple[float, ...]:
 
 @dataclass(kw_only=True)
 class Project(Command):
-    """Stamp a text or a picture on the chest and take the faces it covers."""
+    """Stamp a text or a picture on the chest, and take the faces it covers."""
 
     example = "--scene sample --text G --out letter.npy"
 
     scene: str
-    """Scene folder, .npz, or sample."""
     out: Path
     """Face list to write, with its sidecar .json."""
     text: str | None = None
     """Text to stamp, such as G."""
     mask: Path | None = None
-    """Picture to stamp. Ink: its opaque pixels where it has transparency, else its dark ones."""
+    """Picture to stamp: its opaque pixels where it has transparency, else its dark ones."""
     height: float | None = None
-    """Height of the stamp in metres (default: fits the chest)."""
+    """Height of the stamp, metres (default: fits the chest)."""
     center: tuple[float, float] | None = None
-    """Centre x y of the stamp in metres, in the first pose (default: the chest's)."""
+    """Centre x y of the stamp, metres in the first pose (default: the chest's)."""
 
     def run(self) -> dict:
         from cloak_core.sources.bodies.logos.stamping import project_mask, project_text
@@ -110,19 +108,15 @@ class Heatmap(Watched):
     example = "--scene sample:train --detector builtin --pick 0.2 --out heat.npy"
 
     scene: str
-    """Scene folder, .npz, or sample[:train]."""
     detector: str
-    """Detector, as in cloak train."""
     out: Path
-    """Heat map to write: float32, one number per face (.npy)."""
+    """Heat map to write: a float32 per face (.npy)."""
     backgrounds: str = "procedural:train"
-    """Folder of images, or procedural[:train|test]."""
     angles: Angles = Angles.parse("-10:10:5")
-    """Azimuths in degrees: A:B:STEP or a comma list."""
     pick: float | None = None
-    """Also take the most sensitive faces, this share of the body's area (0.2 = 20 %), into a face list."""
+    """Also take the most sensitive faces, this share of the body's area, into a face list."""
     logo: Path | None = None
-    """Where --pick writes its face list (default: beside the heat map, NAME-pick.npy)."""
+    """Face list of --pick (default: NAME-pick.npy beside the heat map)."""
 
     def run(self) -> dict:
         from cloak_core.core.geometry import face_areas
@@ -160,13 +154,13 @@ class Transfer(Command):
     example = "--from sample --to scene --logo chest.npy --colors runs/first --out carried.npy"
 
     source: Annotated[str, tyro.conf.arg(name="from")]
-    """Scene that the logo belongs to: scene folder, .npz, or sample."""
+    """Scene that the logo belongs to."""
     target: Annotated[str, tyro.conf.arg(name="to")]
     """Scene to carry it onto."""
     logo: Path
     """Face list on the source (.npy)."""
     out: Path
-    """Face list to write; trained colours go beside it, as NAME-colors.npy."""
+    """Face list to write; trained colours go beside it, NAME-colors.npy."""
     colors: Path | None = None
     """Run folder (or zoo:NAME) whose colours come along."""
 

@@ -82,13 +82,13 @@ class DetectorOptions:
     person_class: str | None = None
     """Name or index of the class to look for (default: person); SPEC@person=CLASS for one of several detectors."""
     precision: Literal["float32", "bfloat16", "auto"] = "float32"
-    """bfloat16 runs detectors under autocast (faster on GPUs, rough gradients); auto uses it where the device gains."""
+    """bfloat16: autocast (faster on GPUs, rough gradients); auto: where the device gains."""
     compile: bool = False
-    """Run detectors through torch.compile; needs a C++ compiler, and the first images of each size take long."""
+    """Use torch.compile (needs a C++ compiler, and time for each image size)."""
     layout: str | None = None
     """Output layout of an ONNX model: yolov5, yolov8, yolox, nanodet ... (default: told from the file)."""
     download: bool = False
-    """Fetch official weights of torchvision and transformers models that are not on this machine."""
+    """Fetch missing official weights of torchvision and transformers models."""
 
     def arguments(self) -> dict:
         """Give the options as `load_detector` takes them."""
@@ -134,7 +134,7 @@ class Watched(Detecting):
     """A command that tells a program how far it is."""
 
     events: Path | None = None
-    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
+    """New file of progress for programs: JSON lines, as in a run's events.jsonl."""
 
 
 @dataclass(kw_only=True)
@@ -142,7 +142,7 @@ class AboutRun(Command):
     """A command about a run, or an entry of the zoo."""
 
     run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote, or zoo:NAME."""
+    """Run folder of `cloak train`, or zoo:NAME."""
 
     def opened(self) -> tuple[Path, dict]:
         """Find the run's folder and read its config.json. InputError: no finished run."""
@@ -158,9 +158,9 @@ class OnUnseen(AboutRun):
     """A command that shows a run on bodies and backgrounds that its training never saw."""
 
     scene: str | None = None
-    """Bodies: scene folder, .npz, or sample:unseen (default: what was kept back of the scene that trained)."""
+    """(default: those kept back from training)"""
     backgrounds: str | None = None
-    """Folder of images, or procedural:test (default: what was kept back of those that trained)."""
+    """(default: those kept back from training)"""
 
 
 @dataclass(kw_only=True)
@@ -168,9 +168,7 @@ class Photographed(Command):
     """A command that takes people in photographs."""
 
     people: str | None = None
-    """People in photographs: a COCO file with masks and landmarks; FILE[0::2] takes every second photograph."""
     images: Path | None = None
-    """Folder of the photographs of people (default: beside the file, or images/ beside it)."""
 
     def load_people(self) -> People | None:
         """Read the people; None: none are named. InputError: they cannot be read."""
@@ -184,15 +182,12 @@ class Splitting(Photographed):
     """A command that trains on a part of its bodies, backgrounds and people, and judges on the rest."""
 
     scene: str = "sample"
-    """Bodies: scene folder, .npz, or sample."""
     unseen: str | None = None
-    """Bodies to judge on (default: every second one of --scene in every second outfit, or samples kept back)."""
+    """Bodies to judge on (default: every second of --scene, or samples kept back)."""
     people: str | None = None
-    """People in photographs: those of every second photograph are trained on, the others judge instead of renders."""
     backgrounds: str = "procedural"
-    """Folder of images without people, or procedural."""
     unseen_backgrounds: str | None = None
-    """Backgrounds to judge on (default: every second one of --backgrounds)."""
+    """Backgrounds to judge on (default: every second of --backgrounds)."""
 
     def split(self, detectors: dict[str, Detector], with_people: bool = True) -> DataSplit:
         """Open the material and split it. InputError: something cannot be opened, or is too little to split."""

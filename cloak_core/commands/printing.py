@@ -16,28 +16,26 @@ from cloak_core.sources.bodies.opening import load_scene
 
 @dataclass(kw_only=True)
 class Print(AboutRun):
-    """Lay a logo out flat at true size, as sheets to print and cut (PDF), with its texture and body (GLB, OBJ)."""
+    """Lay a logo out flat at true size: sheets to print and cut (PDF), its texture and body (GLB, OBJ)."""
 
     example = "runs/first --out sheets"
 
     out: Path
     """New folder to write."""
     scene: str | None = None
-    """The body, in its first pose: scene folder, .npz, or sample (default: what the run was trained on)."""
+    """(default: what the run was trained on; its first pose)"""
     dpi: int = 150
-    """Pixels per inch of the texture and the sheets."""
     page: Literal["A4", "A3", "Letter", "Tabloid"] = "A4"
     """Paper of the sheets."""
     pieces: Literal["cut", "own"] = "cut"
-    """Pieces of cloth: cut anew with little stretch, or the mesh's own UV map, as a garment has it."""
+    """Pieces cut anew with little stretch, or the mesh's own UV map, as a garment has it."""
     allowance_cm: float = 0.0
-    """Cloth around each piece for sewing, centimetres; marks along seams match either way."""
+    """Cloth around each piece for sewing, centimetres; marks along seams match anyway."""
     project: bool = False
-    """Replace colours that a four-colour printer cannot mix by the nearest that it can."""
+    """Replace colours that a four-colour printer cannot mix (or --palette lacks) by the nearest."""
     palette: Path | None = None
-    """Palette file (as of `cloak train --palette`) of the colours there are; --project then leaves no others."""
     profile: Path | None = None
-    """Profile (`cloak calibrate`): the sheets have the colours to send so that the run's come out."""
+    """Profile (`cloak calibrate`): sheets have the colours to send so that the run's come out."""
 
     def run(self) -> dict:
         from cloak_core.exchange.profiles import read_profile
@@ -92,15 +90,15 @@ def told(report: dict) -> list[str]:
 class Calibrate(Command):
     """Measure which colours a printer and a camera make: a profile.
 
-    First --chart, to print as the cloak will be; then its photograph (or measured patches) with --measured.
+    First --chart, printed as the cloak will be; then its photograph (or measured patches) with --measured.
     """
 
     example = "--measured photo.jpg --out printer.npz"
 
     chart: Path | None = None
-    """Write the chart here (.pdf, or .png for services that take no PDF), and a .csv of its patches beside it."""
+    """Chart to write (.pdf or .png), with a .csv of its patches."""
     measured: UseAppendAction[tuple[Path, ...]] = ()
-    """Photographs of the printed chart (averaged), a .csv of measured patches, or an ICC profile (.icc, .icm)."""
+    """Photograph of the printed chart (several: averaged), .csv of patches, or ICC profile (.icc, .icm)."""
     out: Path | None = None
     """Profile to write (.npz)."""
 

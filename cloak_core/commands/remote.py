@@ -55,20 +55,20 @@ COMPANIONS = {".xml": (".bin",), ".npy": (".json",), ".onnx": (".json", ".onnx.d
 class Remote(Command):
     """Run a command of cloak on another machine.
 
-    The files that its options name are sent once, links followed, nothing else; what it writes comes back. --save
-    writes a program that does so with whatever it is given, for Blender to train with.
+    The files that its options name are sent once, what it writes comes back. --save writes a program that does so with
+    whatever it is given, for Blender to train with.
     """
 
     example = '--machine "ssh gpu-box" -- train --logo chest --out runs/first'
 
     machine: str
-    """What runs a line of shell over there: "ssh gpu-box"; "sh -c" for this machine."""
+    """What runs a line of shell there: "ssh gpu-box"; "sh -c" for this machine."""
     folder: str = "/tmp/cloak"
-    """A folder over there for scenes and runs."""
+    """Folder there for scenes and runs."""
     program: str = "cloak"
-    """What starts cloak over there: cloak, or python3 -m cloak_core."""
+    """What starts cloak there: cloak, or python3 -m cloak_core."""
     save: Path | None = None
-    """Write a program here that stands for these options, instead of running a command."""
+    """Write a program that has these options, and run nothing."""
     words: Positional[tuple[str, ...]] = ()
     """After --: the command, with its options."""
 

@@ -28,21 +28,19 @@ PARTS = 8
 
 @dataclass(kw_only=True)
 class Reproduce(Splitting, Computing, Sharing):
-    """Run one of the paper's experiments, or all of them, into --out."""
+    """Run one of the paper's experiments, or all, into --out."""
 
     example = "table1 --quick --out runs/reproduce"
 
     name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")] = ""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors, as in cloak train (default: builtin)."""
+    """(default: builtin)"""
     list: bool = False
-    """List the rows of the experiment (of all without NAME), with updates and about the time here; make nothing."""
+    """List the experiment's rows (all without NAME), with updates and time; make nothing."""
     only: UseAppendAction[tuple[str, ...]] = ()
-    """Make only this row, by its number or by words of its name (--list shows both), and print its figures."""
+    """Make only this row, by number or words of its name (--list), and print its figures."""
     publish: Path | None = None
-    """Folder of records: takes the rows of everything in --out, in NAME.csv under the name of the folder --out."""
     redraw: bool = False
-    """Train and evaluate nothing: draw figures again from the numbers in --out."""
     part: Internal[tuple[int, int]] = (0, 1)
     """Which part of how many `work` makes."""
     amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)

@@ -71,11 +71,11 @@ class Imports(Writes):
     """A command that reads bodies, and may give them a finer mesh, another UV map and textures."""
 
     subdivide: int = 0
-    """Levels of midpoint subdivision (1 splits every triangle and quad in four)."""
+    """Levels of midpoint subdivision; 1 splits every triangle and quad in four."""
     texture: UseAppendAction[tuple[Path, ...]] = ()
-    """Picture on the mesh's UV map, or folder of pictures; one outfit each, instead of the file's own."""
+    """Picture on the UV map, or folder of pictures: one outfit each, instead of the file's own."""
     uv: Path | None = None
-    """Take the UV map from this file: .obj of the same mesh, or .npz with vt and ft."""
+    """UV map from an .obj of the same mesh, or .npz with vt and ft."""
 
     def read(self) -> Bodies:
         raise NotImplementedError
@@ -94,17 +94,16 @@ class Imports(Writes):
 
 @dataclass(kw_only=True)
 class Import(Imports):
-    """Make a scene from posed or animated meshes of one topology: .obj, .glb, .ply, .npz; with Blender .abc and
-    .usd."""
+    """Make a scene of posed or animated meshes of one topology: .obj, .glb, .ply, .npz; with Blender .abc and .usd."""
 
     example = "pose1.obj pose2.obj --out scene"
 
     files: Positional[tuple[Path, ...]]
     """One mesh file per pose, or animated files."""
     scale: float | None = None
-    """Metres in one unit of the files, 0.01 for centimetres (default: metres, refused where heights make no sense)."""
+    """Metres in one unit of the files, 0.01 for centimetres (default: metres, if heights make sense)."""
     frames: int = 0
-    """Take this many moments of each animated file as poses (default: the resting pose)."""
+    """Moments of each animated file to take as poses; 0: the resting pose."""
 
     def read(self) -> Bodies:
         from cloak_core.sources.bodies.meshes.importing import import_bodies
@@ -114,14 +113,14 @@ class Import(Imports):
 
 @dataclass(kw_only=True)
 class ImportSmpl(Imports):
-    """Make a scene from your own SMPL, SMPL+H or SMPL-X model and poses."""
+    """Make a scene of your own SMPL, SMPL+H or SMPL-X model and poses."""
 
     example = "--model SMPL_NEUTRAL.npz --poses walk.npz --every 10 --out scene"
 
     model: Path
-    """Model file, .npz or the original .pkl (read without running anything in it)."""
+    """Model: .npz, or the original .pkl (nothing in it is run)."""
     poses: Path
-    """Poses: AMASS-like .npz, SURREAL _info.mat, .npy or .csv rows of 72 pose and 10 shape numbers."""
+    """AMASS-like .npz, SURREAL _info.mat, or .npy or .csv rows of 72 pose and 10 shape numbers."""
     every: int = 1
     """Take each n-th pose."""
     limit: int | None = None
@@ -135,14 +134,13 @@ class ImportSmpl(Imports):
 
 @dataclass(kw_only=True)
 class ImportAnny(Imports):
-    """Draw bodies of random adult shapes and poses from Anny (extra `anny`), with the sample bodies' mesh."""
+    """Draw random adult bodies and poses from Anny (extra `anny`), with the sample bodies' mesh."""
 
     example = "--count 64 --seed 1 --out scene"
 
     count: int = 64
-    """How many bodies; as many as training shows images make each image's body a new one."""
+    """Bodies to draw; one for each training image shows none twice."""
     seed: int = 0
-    """Same seed, same bodies."""
     poses: str = "natural"
     """natural (all in turn), stand, walk, run or wave; or a file of Anny's pose_parameters [P, 104, 4, 4] (.npy,
     .npz)."""
@@ -160,9 +158,9 @@ class Sample(Writes):
     example = "--split train --out scene"
 
     split: Literal["all", "train", "unseen"] = "all"
-    """All bodies, those for training, or those kept back for evaluation."""
+    """All bodies, those for training, or those kept back."""
     clothed: bool = False
-    """Those in motion, in loose shirts and trousers (the scene sample-clothed)."""
+    """Bodies in motion, in loose clothes (sample-clothed)."""
 
     def bodies(self) -> Bodies:
         from cloak_core.sources.bodies.people.clothed import clothed_bodies
@@ -178,9 +176,8 @@ class Info(Command):
     example = "sample"
 
     scene: Positional[str]
-    """Scene folder, .npz, or sample[:train|unseen]."""
     distance: float = 2.2
-    """Camera distance, in metres, at which the projected face areas are told."""
+    """Camera distance for the sizes of faces, metres."""
 
     def run(self) -> dict:
         from cloak_core.core.cameras import Camera

@@ -25,16 +25,16 @@ GIGABYTES, GIGABYTES_WITHOUT_TORCH = 6.0, 0.6
 
 @dataclass(kw_only=True)
 class Setup(Command):
-    """Say what this trainer is; with --into, make an environment that has one, filled by pip."""
+    """Say what this trainer is; with --into, make an environment that has one, by pip."""
 
     example = "--into ~/cloak --source ."
 
     into: Path | None = None
-    """New folder for the environment (default: make none)."""
+    """New folder for the environment."""
     source: str = "cloak-core"
-    """What pip installs there: a wheel, a folder of Cloak's sources, or a name of the package index."""
+    """What pip installs there: a wheel, Cloak's sources, or a name of the package index."""
     share_torch: bool = False
-    """Let the environment use the torch and torchvision of this Python, which spares 5 GB."""
+    """Use this Python's torch and torchvision there, which spares 5 GB."""
 
     def run(self) -> dict:
         if self.into is None:

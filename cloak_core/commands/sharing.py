@@ -35,10 +35,8 @@ class SharingOptions:
     """Where the work is done."""
 
     ray: str | None = None
-    """Share the work over a Ray cluster: local, or an address (auto, HOST:6379, ray://HOST:10001) whose machines see
-    the same files; each run takes --threads cores (default: in order, here)."""
     gpus_per_run: float = 1.0
-    """With --ray and --device cuda: GPUs, or share of one, for each run."""
+    """With --ray on CUDA: GPUs for each run, or a share of one."""
 
     def spread(self, parts: Sequence[tuple[str, Sharing]], compute: ComputeSettings) -> None:
         """Have the parts (commands with `work`) done, each with its name for people; do nothing without --ray.

@@ -18,10 +18,10 @@ from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
 @dataclass(kw_only=True)
 class Sweep(Sharing):
-    """Train every combination of a grid of settings; what is done already is skipped.
+    """Train every combination of a grid of settings; what is done is skipped.
 
-    The grid is a TOML file: [base] has what all runs share, [grid] a list of values for each name that varies, as in
-    `cloak train`. Figures are of training, the mean over a run's last tenth: evaluate what looks good.
+    The grid is a TOML file: [base] for all runs, and [grid], a list for each name that varies (options of `cloak
+    train`). Figures are of training: evaluate what looks good.
     """
 
     example = "grid.toml --out sweep"
@@ -30,16 +30,16 @@ class Sweep(Sharing):
     grid: Positional[Path]
     """TOML file with [base] and [grid]."""
     out: Path
-    """Folder for the runs and their table; the same one goes on with what is left."""
+    """Folder for all results; what is there is not done again."""
 
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors of the grid that run code (python:) or ask the network: only what is named here, too, is used."""
+    """Detectors of the grid that run code (python:) or ask the network: only those named here are used."""
     device: str | None = None
-    """Torch device of every run (default: what the grid says, else cpu)."""
+    """(default: the grid's, else cpu)"""
     threads: int | None = None
-    """CPU threads of torch in every run (default: what the grid says)."""
+    """(default: the grid's)"""
     seed: int | None = None
-    """Every random draw derives from it (default: what the grid says, else 0)."""
+    """(default: the grid's, else 0)"""
 
     def run(self) -> dict:
         from cloak_core.studies.sweeps import Sweep, read_grid

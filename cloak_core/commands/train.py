@@ -38,7 +38,7 @@ from cloak_core.files.writing import is_taken, new_folder, write_json, written
 class Train(Photographed, Detecting):
     """Train a logo's face colours until detectors no longer report the person.
 
-    Ctrl-C, or a file `cancel` in the run folder, ends the run in order (exit code 3); --resume goes on from there.
+    Ctrl-C, or a file `cancel` in the run folder, stops the run (exit code 3); --resume goes on from there.
     """
 
     example = "--scene sample:train --logo chest+thighs --detector builtin --out runs/first"
@@ -49,34 +49,30 @@ class Train(Photographed, Detecting):
     )
 
     scene: str | None = None
-    """Bodies to train on: scene folder, .npz, or sample:train (the default without --people)."""
+    """(default: sample:train without --people)"""
     people: str | None = None
-    """People in photographs, beside or instead of --scene; PEOPLE.json[0::2] takes every second photograph."""
     logo: Path
-    """Faces to colour: a face list (.npy) from Blender or `cloak logo`, or regions of the scene, chest+thighs."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detector to hide from: builtin, onnx:FILE, darknet:CFG:WEIGHTS, python:FILE:FUNCTION ... (default: builtin)."""
+    """(default: builtin)"""
     query_prior: UseAppendAction[tuple[str, ...]] = ()
-    """With --black-box-queries: surrogates, as in --detector, whose gradients lead the search."""
+    """With --black-box-queries: surrogate whose gradients lead the search."""
     technique: UseAppendAction[tuple[str, ...]] = ()
-    """Technique of another package, NAME or NAME:TEXT (entry points of group cloak.techniques): runs its code."""
+    """Technique of another package, NAME or NAME:TEXT (entry points cloak.techniques): runs its code."""
     backgrounds: str = "procedural:train"
-    """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     made_from: str | None = None
-    """Scene that --scene was copied from (sample:train), so that evaluation knows which bodies are unseen."""
+    """Scene that --scene was copied from, so that evaluation knows which bodies are unseen."""
     out: Path
-    """Run folder to write; a new one unless --resume."""
+    """New folder to write, or the one to --resume."""
     resume: bool = False
-    """Continue the run in --out from its last checkpoint."""
     extend: int | None = None
-    """Make the run in --out longer by this number of updates: a new run, RUN-STEPS; other options as they were."""
+    """Make the run in --out longer by so many updates, as a new run, RUN-STEPS."""
     config: Path | None = None
-    """TOML file of settings, named as the options without dashes; options on the command line win."""
+    """TOML file of settings, named as the options; those on the command line win."""
     log: UseAppendAction[tuple[Log, ...]] = ()
-    """Also hand curves and previews to tensorboard (RUN/tensorboard), mlflow or wandb; each is an extra."""
+    """Also log to tensorboard (RUN/tensorboard), mlflow or wandb; each is an extra."""
     preset: Preset = "best"
-    """Settings to start from: paper (its text), reference (its code), best (against these detectors), transfer (for
-    others, with several --detector), photographs (the default with --people)."""
+    """Settings to start from: paper (its text), reference (its code), best (these detectors), transfer (others, from
+    several), photographs (the default with --people)."""
     length: Annotated[OmitArgPrefixes[RunSettings], arg(name="the run")]
     views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]
     augmentation: Annotated[OmitArgPrefixes[AugmentationSettings], arg(name="augmentation")]

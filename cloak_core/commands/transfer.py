@@ -27,54 +27,47 @@ CIRCLE_IMAGES = 240
 
 @dataclass(kw_only=True)
 class Transfer(Splitting, Detecting, Sharing):
-    """Train without each detector in turn; the one left out judges: a matrix for each ablation (--rungs).
+    """Train without each detector in turn, which then judges: a matrix for each ablation (--rungs).
 
-    Trainings are made once: the same command goes on where it stopped, also after --budget-minutes (exit code 3).
+    The same command goes on where it stopped, also after --budget-minutes (exit code 3).
     """
 
     example = "--detector onnx:a.onnx --detector onnx:b.onnx --detector onnx:c.onnx --out matrix"
 
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Surrogates, as in cloak train; each judged detector is left out of its own."""
+    """Surrogates; each judged detector is left out of its own."""
     judge: UseAppendAction[tuple[str, ...]] = ()
-    """Judged detectors (default: every --detector); others than --detector are never trained on."""
+    """Judged detectors (default: every --detector); others are never trained on."""
     logo: str = "shirt_trousers"
-    """A face list (.npy), shirt_trousers, chest_thighs, or regions of the scene (chest+thighs)."""
+    """(or shirt_trousers, chest_thighs)"""
     out: Path
-    """Folder for runs, evaluations, cells and the table; what is there already is not done again."""
+    """Folder for all results; what is there is not done again."""
     rungs: tuple[str, ...] = ("recipe",)
     """What to train: best, recipe (preset transfer), a technique upon best (score, smooth, animal, window, adaptive,
     cutout, blur, shake, mi, views), +NAME for all up to it, or ladder."""
     strangers_only: bool = False
-    """Also leave detectors of the judged one's family out of its surrogates."""
+    """Also leave detectors of the judged one's family out."""
     kin: UseAppendAction[tuple[str, ...]] = ()
-    """PART_OF_A_SPEC=FAMILY, where names do not tell the family (all YOLOs are one, and all R-CNNs)."""
+    """PART_OF_A_SPEC=FAMILY, where names do not tell it (all YOLOs are one, and all R-CNNs)."""
     circle: bool = False
-    """Train and judge all around, 1.4 to 6 m away (default: azimuths -10..10, elevation 6 degrees, 2.2 m)."""
+    """Train and judge all around, 1.4 to 6 m away (default: azimuths -10..10, 2.2 m)."""
     steps: int | None = None
-    """Updates of a training (default: what the rung's preset says)."""
+    """(default: the preset's)"""
     seeds: int = 1
-    """Repetitions of every training, each with another seed."""
+    """(default: 1)"""
     seed: int = 0
-    """Every random draw derives from it; repetitions count on from it."""
     batch: int | None = None
-    """Images per update (default: what the preset says)."""
+    """Images per update (default: the preset's)."""
     detectors_per_step: int | None = None
-    """Ask this many of the surrogates in each update, drawn at random (default: all)."""
     hide: Hide = "person"
-    """What cloaks are trained to hide: the class person alone, or everything on the body. Each aim needs its --out."""
     size: int = 416
-    """Width and height of the images, pixels."""
     images_per_view: int = 4
-    """Test images per body and place of the camera."""
     most_images: int | None = None
-    """Most test images (default: 240 with --circle, else all)."""
+    """(default: 240 with --circle, else all)"""
     budget_minutes: float | None = None
-    """Stop after this many minutes in all; the same command continues."""
+    """Stop after so many minutes in all; the same command continues."""
     publish: Path | None = None
-    """Folder of records: takes a row for each cell, in transfer-matrix.csv under the name of the folder --out."""
     redraw: bool = False
-    """Write table and heat map again from the cells in --out; train and judge nothing."""
 
     def run(self) -> dict:
         from cloak_core.studies.transfer import ablation_names, gather

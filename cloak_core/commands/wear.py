@@ -31,24 +31,18 @@ class Wear(Detecting):
 
     colors: Positional[tuple[str, ...]]
     """A run, zoo:NAME, FILE.png@tile=METRES (cloth; auto: the width that hides best), FILE.png@patch=METRES (on the
-    chest), '*.png@tile=0.5', a folder with patterns.toml, or a plain print (print:balls); @flipped at the end is upside
-    down."""
+    chest), '*.png@tile=0.5', a folder with patterns.toml, or print:NAME; @flipped at the end is upside down."""
     people: str
-    """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
     images: Path | None = None
-    """Folder of the photographs (default: beside the file, or images/ beside it)."""
     logo: str | None = None
-    """What cloths, pictures and controls cover: regions or a face list (default: a run's own, else shirt+trousers)."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors that judge."""
     width_people: str | None = None
-    """With @tile=auto: people on whom the width is chosen, and who do not judge."""
+    """With @tile=auto: people on whom the width is chosen, who do not judge."""
     width_detector: UseAppendAction[tuple[str, ...]] = ()
-    """With @tile=auto: detectors that the width is chosen on, and that do not judge."""
+    """With @tile=auto: detectors that choose the width, and do not judge."""
     out: Path | None = None
-    """New folder for the pictures, a contact sheet and the table of scores."""
+    """New folder for pictures, a contact sheet and the table of scores."""
     backgrounds: str = "procedural:test"
-    """Images without people, for false alarms."""
     settings: Annotated[OmitArgPrefixes[WearSettings], arg(name="judging")] = field(default_factory=WearSettings)
 
     def run(self) -> dict:
@@ -118,19 +112,16 @@ def show_people(result: dict) -> None:
 
 @dataclass(kw_only=True)
 class Fit(Command):
-    """Fit the body to people in photographs ahead of need, and count them.
+    """Fit bodies to the people in photographs, and count them.
 
-    Other commands do so on their own; fits are found again by content, in the cache (CLOAK_CACHE).
+    Other commands do so on their own; fits are kept in the cache (CLOAK_CACHE), by content.
     """
 
     example = "people.json"
 
     people: Positional[str]
-    """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
     images: Path | None = None
-    """Folder of the photographs (default: beside the file, or images/ beside it)."""
     ray: str | None = None
-    """Have a Ray cluster fit: local, or an address (auto, HOST:6379, ray://HOST:10001) (default: all cores here)."""
 
     def run(self) -> dict:
         from cloak_core.sources.photographs.fits import fit_people, those_who_fit
@@ -160,22 +151,21 @@ class Fit(Command):
 class Judge(Detecting):
     """Judge photographs and videos of people with and without a cloak.
 
-    DIR has with/ and without/, PERSON/SCENE/file inside where known, and perhaps nobody/ and control garments; or
+    DIR has with/ and without/ (PERSON/SCENE/file inside where known), perhaps nobody/ and control garments; or
     pictures.csv. Only people who are found in the clean picture can be hidden.
     """
 
     example = "photographs --detector builtin"
 
     directory: Positional[Path]
-    """Folder with with/ and without/ in it, or with pictures.csv."""
+    """Folder with with/ and without/, or with pictures.csv."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Detectors to judge with."""
     pictures: Path | None = None
     """CSV of the pictures instead (file and cloak; person, scene, distance, pair, x1, y1, x2, y2 where known)."""
     boxes: Path | None = None
-    """CSV of people's boxes in upright pixels (file, x1, y1, x2, y2; person where a picture shows several)."""
+    """CSV of people's boxes in upright pixels (file, x1, y1, x2, y2; person where there are several)."""
     out: Path | None = None
-    """Folder for report.html, summary.json and scores.csv (default: DIR/judge)."""
+    """Folder for report.html, summary.json, scores.csv (default: DIR/judge)."""
     settings: Annotated[OmitArgPrefixes[JudgeSettings], arg(name="judging")] = field(default_factory=JudgeSettings)
 
     def run(self) -> dict:

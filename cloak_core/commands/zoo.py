@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class List(Command):
-    """List the zoo: trained colours that come with Cloak; zoo:NAME stands for a run folder wherever one is taken."""
+    """List the zoo: trained colours that come with Cloak; zoo:NAME stands for a run folder."""
 
     def run(self) -> dict:
         from cloak_core.zoo.entry import entry, mean_success, shelved
@@ -87,7 +87,7 @@ class Show(Command):
 class Reproduce(Computing):
     """Judge entries again as their records say, beside the recorded figures.
 
-    Entries whose detectors, scenes or photographs are not there are left out, and named.
+    Entries whose detectors, scenes or photographs are missing are left out, and named.
     """
 
     example = "builtin-sample"
@@ -95,13 +95,12 @@ class Reproduce(Computing):
     names: Positional[tuple[str, ...]] = ()
     """Entries (default: all)."""
     files: Path | None = None
-    """Folder with the detectors' files and the scenes, by the names in the records, at any depth."""
+    """Folder with the detectors' files and the scenes, by the records' names, at any depth."""
     backgrounds: Path | None = None
-    """Folder of the photographs that were trained and judged before; what training saw is left out by its content."""
+    """Folder of the photographs of training; what was seen is left out by content."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Your detector of a record's file name, for those that run code: python:PLACE/d2go.py:load@conf=0.5."""
+    """Your detector of a record's file name, if it runs code: python:PLACE/d2go.py:load@conf=0.5."""
     most_images: int | None = None
-    """Most images of each entry: fewer are quicker, and less sure."""
 
     def run(self) -> dict:
         from cloak_core.studies.zoo_reproduction import Files, evaluate_again
@@ -155,13 +154,12 @@ class Export(Command):
     name: Positional[str]
     """Name of the entry."""
     out: Path
-    """New folder to write; of a .glb, the file."""
+    """New folder; of a .glb, the file."""
     format: Literal["run", "glb"] = "run"
     """What to write."""
     scene: str | None = None
-    """Of a .glb: the body, in its first pose (default: what the entry was trained on, where that ships too)."""
+    """(default: the entry's, where that ships; first pose)"""
     dpi: int = 150
-    """Of a .glb: pixels of its texture per inch of the body."""
 
     def run(self) -> dict:
         from cloak_core.zoo.entry import entry
@@ -207,15 +205,15 @@ class Add(Command):
     run_folder: Positional[Path]
     """Run folder with its evaluation."""
     name: str
-    """Of the entry: small letters, digits, dots and dashes."""
+    """Of the entry: small letters, digits, dots, dashes."""
     about: str
     """One line for people."""
     command: str = ""
-    """The command that trained it, for the record; folders are left out."""
+    """Command that trained it, without folders."""
     licence: str = "CC0-1.0"
     """Of the colours."""
     logo: str | None = None
-    """What the logo is called (default: as its file or regions were)."""
+    """Name of the logo (default: its file or regions)."""
     folder: Path | None = None
     """Folder of entries (default: the one that ships)."""
 

@@ -15,10 +15,9 @@ class Options(StoreOptions):
     """How much an experiment does."""
 
     defence: UseAppendAction[tuple[str, ...]] = ()
-    """Of `defences`: these, as they stand before a detector, jpeg=50 (default: seven)."""
+    """Of `defences`: this one before the detector, jpeg=50 (default: seven)."""
     patterns: tuple[str, ...] = ()
-    """Of `hardened`: published patterns that shirt and trousers show, too: FILE.png, 0.25 m wide, or
-    FILE.png@tile=METRES."""
+    """Of `hardened`: published patterns on shirt and trousers: FILE.png (0.25 m wide) or FILE.png@tile=METRES."""
 
 
 def names() -> tuple[str, ...]:

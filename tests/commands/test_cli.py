@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cloak_core import cli
+from cloak_core.commands.help import options_of
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene
 
@@ -74,6 +75,18 @@ def help_text(name, capsys, monkeypatch, option="--help-all"):
     with pytest.raises(SystemExit):
         cli.parse(name, [option])
     return capsys.readouterr().out
+
+
+def test_help_is_short_and_says_what_options_share_in_one_wording():
+    """Each text is counted once: under 4,000 words for all commands."""
+    options = [option for name in cli.COMMANDS for option in options_of(cli.load(name))]
+    texts = {option.words for option in options}
+    texts |= {cli.load(name).__doc__ for name in cli.COMMANDS}
+    assert 3000 < sum(len(text.split()) for text in texts) < 4000
+    wordings = {f: {o.words for o in options if o.flag == f} for f in {o.flag for o in options}}
+    for flag in ("--people", "--scene", "--seed", "--device", "--threads", "--shift", "--hide", "--threshold"):
+        assert len(wordings[flag]) == 1, wordings[flag]
+    assert len({o.words.removesuffix(" Repeatable.") for o in options if o.words.startswith("Detector: ")}) == 1
 
 
 @pytest.mark.slow

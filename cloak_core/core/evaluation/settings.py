@@ -30,36 +30,35 @@ class EvaluateSettings(RenderOptions):
     """How to evaluate. The defaults are the paper's camera and threshold."""
 
     images_per_view: Annotated[int, Bounds(1)] = 4
-    """Images (background, shift, outfit) of every body at every angle, elevation and distance."""
+    """Images of every body at every angle, elevation and distance."""
     most_images: Annotated[int | None, Bounds(1)] = None
-    """At most this number of them, drawn by the seed."""
+    """Most images; fewer are drawn by the seed."""
     distances: tuple[float, ...] = (2.2,)
     """Camera distances, metres."""
     elevation: Annotated[float, Bounds(-90, 90)] = 6.0
     """Camera elevation, degrees."""
     elevations: tuple[float, ...] = ()
-    """Several elevations instead, degrees: every body is seen from each at every angle and distance."""
+    """Camera elevations, degrees, instead of one."""
     field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
     size: Annotated[int, Bounds(16, 4096)] = 416
     """Width and height of the images, pixels."""
     cycles: Literal["matching", "studio", "sky"] | None = None
-    """Bodies as Blender's Cycles renders them (needs bpy), in our light, a room's or the sky's; into
-    RUN/evaluation-LIGHT."""
+    """Render by Blender's Cycles (needs bpy) in our light, a room's or the sky's, into RUN/evaluation-LIGHT."""
     shift: Annotated[int, Bounds()] = 50
-    """The body is moved by up to this many pixels along both axes, as in training."""
+    """Move the body by up to so many pixels along both axes."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
-    """A person counts as detected above this score."""
+    """Score above which a person counts as detected."""
     controls: tuple[Literal[NAMES], ...] = STANDARD
-    """What the logo is compared with; resampled: people's own clothes."""
+    """What the logo is compared with; resampled: own clothes."""
     bare: Annotated[int, Bounds(1)] = 256
-    """At most this many bare backgrounds are looked at for false alarms."""
+    """Backgrounds without people to count false alarms on, at most."""
     resamples: Annotated[int, Bounds(100)] = RESAMPLES
     """Bootstrap resamples behind each interval."""
     batch: Annotated[int, Bounds(1)] = 16
-    """Images the detectors see at once."""
+    """Images that detectors see at once."""
     seed: Annotated[int, Bounds()] = 0
-    """Every random draw derives from it: backgrounds, shifts, outfits and the random-colour logo."""
+    """Seed of every random draw."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -87,11 +86,9 @@ class FilmSettings(RenderOptions):
     """How to film. The defaults are the paper's camera and threshold."""
 
     camera: str = "still"
-    """still, orbit (--turns), approach (--far to --near), or FILE.csv of keyframes: time, azimuth, elevation,
-    distance."""
+    """still, orbit, approach, or FILE.csv of keyframes: time, azimuth, elevation, distance."""
     angles: Angles = Angles((0.0,))
-    """Azimuths at which a take begins, degrees: A:B:STEP or a comma list; the first take is the film, all are
-    counted."""
+    """Azimuths where takes begin, degrees: A:B:STEP or a comma list; the first is shown, all are counted."""
     elevation: Annotated[float, Bounds(-90, 90)] = 6.0
     """Camera elevation, degrees."""
     distance: Positive = 2.2
@@ -101,33 +98,33 @@ class FilmSettings(RenderOptions):
     near: Positive = 1.5
     """Where it ends, metres."""
     turns: float = 1.0
-    """How often an orbit goes around; below 0 the other way."""
+    """Turns of an orbit; below 0 the other way."""
     follow: bool = False
-    """The camera looks at the middle of each pose (default: at that of the whole motion)."""
+    """Look at the middle of each pose, not of the whole motion."""
     field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
     size: Annotated[int, Bounds(16, 2048)] = 416
-    """Width and height of each of the two pictures, pixels."""
+    """Width and height of the images, pixels."""
     fps: Annotated[float, Bounds(0.1, 240)] = 25.0
-    """Frames of the film a second."""
+    """Frames a second."""
     poses_per_second: Positive | None = None
-    """Poses of the scene a second (default: one a frame; single poses are held for a second each)."""
+    """Poses a second (default: one a frame; single poses are held for a second)."""
     seconds: Positive | None = None
-    """Length of a take (default: once through the poses or the keyframes; with a moving camera 4 s at least)."""
+    """Length of a take (default: once through poses or keyframes; 4 s at least with a moving camera)."""
     outfit: Annotated[int, Bounds()] = 0
-    """Which of the scene's outfits is the own clothing; further takes wear the next ones."""
+    """Outfit of the scene that is own clothing; further takes wear the next."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
-    """A person counts as detected above this score."""
+    """Score above which a person counts as detected."""
     track: bool = False
-    """Draw the numbers of the tracks that a plain IoU tracker confirms; they are counted in any case."""
+    """Draw the numbers of the tracks of a plain IoU tracker."""
     track_hits: Annotated[int, Bounds(1)] = 3
     """Frames in a row that confirm a track."""
     track_misses: Annotated[int, Bounds()] = 5
-    """Frames in a row without it that a confirmed track outlives."""
+    """Frames in a row that a confirmed track outlives."""
     track_iou: Annotated[float, Bounds(0, 1, "()")] = 0.3
     """Overlap from which a box goes on with a track."""
     batch: Annotated[int, Bounds(1)] = 8
-    """Images the detectors see at once."""
+    """Images that detectors see at once."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -140,15 +137,15 @@ class JudgeSettings:
     """How to judge photographs."""
 
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
-    """A person counts as detected above this score; the detector's own threshold stands beside it."""
+    """Score above which a person counts as detected."""
     iou: Annotated[float, Bounds(0, 1, "(]")] = IOU
-    """Where a person's box is told: overlap from which a found box is that person's."""
+    """Overlap from which a detected box is the person's (--boxes)."""
     every: Annotated[int, Bounds(1)] = 10
-    """Look at every N-th frame of a video."""
+    """Take every N-th frame of a video."""
     most_frames: Annotated[int, Bounds(1)] = 50
-    """Look at no more than this many frames of one video, from its beginning."""
+    """Most frames of a video, from its beginning."""
     longest: Annotated[int, Bounds(32, 8192)] = 1280
-    """Larger pictures are first reduced to this many pixels along their longer side, by averaging."""
+    """Reduce larger pictures to so many pixels on their longer side."""
     resamples: Annotated[int, Bounds(100)] = RESAMPLES
     """Bootstrap resamples behind each interval."""
 
@@ -163,13 +160,13 @@ class WearSettings:
     context: Annotated[float, Bounds(1, 8)] = 1.25
     """Side of each image, in heights of the person's box."""
     size: Annotated[int, Bounds(64, 4096)] = 416
-    """Width and height of each image, pixels."""
+    """Width and height of the images, pixels."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
-    """A person counts as found above this score; the detectors' own thresholds stand beside it."""
+    """Score above which a person counts as detected."""
     bare: Annotated[int, Bounds(0, 1024)] = 16
-    """Backgrounds without people on which false alarms are counted."""
+    """Backgrounds without people to count false alarms on, at most."""
     batch: Annotated[int, Bounds(1, 1024)] = 8
-    """Images that a detector sees at a time."""
+    """Images that detectors see at once."""
     seed: Internal[int] = 0
     """Every random draw derives from it."""
     resamples: Internal[int] = RESAMPLES
@@ -184,17 +181,17 @@ class StoreOptions:
     """How much is trained and evaluated, and where results are kept."""
 
     out: Path = Path("runs/reproduce")
-    """Folder for results and shared trainings; what is there already is not done again."""
+    """Folder for all results; what is there is not done again."""
     quick: bool = False
-    """Fewer steps, angles, images and seeds: the whole set within 90 minutes on two cores."""
+    """Fewer steps, angles, images and seeds: all within 90 minutes on two cores."""
     preset: Preset = "best"
     """Training preset."""
     steps: UseAppendAction[tuple[int, ...]] = ()
-    """Updates of a training, once or for each --detector in order (default: 150 with --quick, else the preset's)."""
+    """Updates of the colours, once or for each --detector (default: 150 with --quick, else the preset's)."""
     seeds: int | None = None
-    """Repetitions of every training, each with another seed (default: 1 with --quick, else 3)."""
+    """Repetitions, each with another seed (default: 1 with --quick, else 3)."""
     seed: int = 0
-    """Every random draw derives from it; repetitions count on from it."""
+    """Seed of every random draw."""
     batch: Internal[int | None] = None
     """Images per update; None: what the preset says."""
     images_per_view: Internal[int | None] = None

@@ -22,9 +22,9 @@ class ComputeSettings:
     # A command prepares its process by them (`commands.options`); functions leave the process as it is.
 
     device: str = "cpu"
-    """Torch device: auto (CUDA where it works, else the CPU), cpu, cuda, cuda:1."""
+    """Torch device: auto (CUDA where it works, else CPU), cpu, cuda, cuda:1."""
     threads: Annotated[int | None, Bounds(1, 4096)] = None
-    """CPU threads of torch; None leaves them as they are. Bit-identical results need equal numbers."""
+    """CPU threads of torch; equal bits need equal numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,20 +38,19 @@ class RunSettings:
     batch: Annotated[int, Bounds(1, 4096)] = 8
     """Images per update."""
     microbatch: Annotated[int | None, Bounds(1, 4096)] = None
-    """Images that a detector sees at once, to bound memory; None: the whole batch. The gradient is the same up to
-    rounding."""
+    """Images that a detector sees at once, to bound memory; None: the batch. Same gradient up to rounding."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
-    """Stop after this much training time, seconds, with a checkpoint to resume from."""
+    """Stop after so many seconds of training, with a checkpoint to resume from."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
-    """Every random draw derives from it."""
+    """Seed of every random draw."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
-    """Score above which a person counts as detected, in the success that events report."""
+    """Score above which a person counts as detected."""
     checkpoint_every: Annotated[int, Bounds()] = 100
-    """Steps between checkpoints; 0 writes one at the end."""
+    """Steps between checkpoints; 0: one at the end."""
     preview_every: Annotated[int, Bounds()] = 100
-    """Steps between preview pictures; 0 writes none."""
+    """Steps between preview pictures; 0: none."""
     snapshot_every: Annotated[int, Bounds()] = 0
-    """Steps between copies of the colours in RUN/snapshots, for `cloak evaluate --over-time`; 0 keeps none."""
+    """Steps between the snapshots of `cloak evaluate --over-time`; 0: none."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
@@ -64,20 +63,19 @@ class ViewSettings(RenderOptions):
     """What the rendered images show of the body."""
 
     angles: Azimuths = Azimuths(Angles((-10.0, -5.0, 0.0, 5.0, 10.0)))
-    """Azimuths of the camera, degrees: 0; -10,0,10; FIRST:LAST:STEP with LAST included; or LOW..HIGH for any angle in
-    between."""
+    """Azimuths, degrees: 0; -10,0,10; FIRST:LAST:STEP with LAST included; or LOW..HIGH for any between."""
     angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
     """Change each azimuth by up to this many degrees; 0 keeps them, so that views can be reused."""
     elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
-    """Camera elevation, degrees: one number, or LOW:HIGH for a uniform draw per image."""
+    """Camera elevation, degrees; LOW:HIGH draws one per image."""
     elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
     """Standard deviation of the elevation, degrees."""
     distance: Annotated[Range, Bounds(ends="()")] = Range(2.2, 2.2)
-    """Camera distance, metres: one number, or LOW:HIGH for a uniform draw per image."""
+    """Camera distance, metres; LOW:HIGH draws one per image."""
     field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
     size: Annotated[int, Bounds(16, 4096)] = 416
-    """Width and height of the rendered images, pixels."""
+    """Width and height of the images, pixels."""
     outfits: Literal["random", "first"] = "random"
     """Clothing of the body outside the logo: a random outfit per image, or the first."""
 
@@ -98,25 +96,23 @@ class AugmentationSettings:
     """What makes every image another one."""
 
     translation: Annotated[int, Bounds(0, 4096)] = 50
-    """Move the body by up to this many pixels along both axes."""
+    """Move the body by up to so many pixels along both axes."""
     translation_per: Literal["image", "batch"] = "image"
     """Draw the translation for each image, or once for the batch."""
     contrast: Annotated[Range, Bounds(ends="[)")] = Range(0.0, 1.0)
-    """Range of the factor on the colours; 1 switches it off."""
+    """Range of the factor on the colours; 1: off."""
     brightness: Range = Range(0.0, 1.0)
-    """Range of what is added to the colours; 0 switches it off."""
+    """Range of what is added to the colours; 0: off."""
     noise: Annotated[float, Bounds(0, 1)] = 0.1
     """Amplitude of uniform noise on the colours."""
     cutout: Annotated[float, Bounds(0, 1)] = 0.0
-    """Paint up to this share of the logo's faces grey in each image, around one face; 0 switches it off."""
+    """Paint up to this share of the logo grey in each image, around a face."""
     crop: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Cut away up to this share of the image's width and height, and enlarge the rest."""
+    """Cut away up to this share of width and height, and enlarge the rest."""
     pad: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Shrink the image into a grey margin of up to this share of its sides; with --crop, each image gets one of the
-    two."""
+    """Shrink into a grey margin of up to this share of the sides; with --crop, one of the two."""
     blur: Annotated[float, Bounds(0, 2)] = 0.0
-    """Baseline (EOT, Athalye et al., ICML 2018): blur by a Gaussian of at most this standard deviation, pixels; 0:
-    off."""
+    """Baseline (EOT, Athalye et al., ICML 2018): Gaussian blur of at most this standard deviation, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +120,7 @@ class PeopleSettings:
     """How photographs of people are shown, where there are any (--people)."""
 
     people_share: Annotated[float, Bounds(0, 1)] = 1.0
-    """Share of the images that are photographs, the others being renders of the scene."""
+    """With --people: share of photographs among the images."""
 
 
 Loss = Literal["score", "objectness", "log", "margin"]
@@ -136,21 +132,20 @@ class LossSettings:
     """What training minimises."""
 
     hide: Hide = "person"
-    """What to hide: the class person alone, or every class on the body."""
+    """What cloaks hide: the class person, or every class on the body."""
     loss: Loss = "score"
-    """What is minimised of an image's surest box: score, of the person; objectness, where person is the likeliest
-    class; log, -log(1 - score); or margin, logits above the detector's own operating point."""
+    """Minimised, of an image's surest box: score, of the person; objectness, where person is likeliest; log, -log(1 -
+    score); or margin, logits above the detector's own threshold."""
     ensemble: Literal["mean", "adaptive"] = "mean"
-    """How the losses of several detectors are combined: mean, or adaptive: by how surely each lately found a person."""
+    """Losses of several detectors: mean, or adaptive, by how surely each lately found a person."""
     detectors_per_step: Annotated[int | None, Bounds(1, 4096)] = None
-    """Ask at most this many detectors in each step, drawn at random; None asks all."""
+    """Detectors to ask in each step, drawn at random (default: all)."""
     tv_weight: NotNegative = 2.5
-    """Weight of total variation: inner edges' length (metres) times colour difference, by the number of the logo's
-    faces."""
+    """Weight of total variation: inner edges' length (metres) times colour difference, per face."""
     nps_weight: NotNegative = 0.0
-    """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
+    """Weight of non-printability: mean distance of the colours to the nearest of --palette."""
     palette: str | None = None
-    """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
+    """File of printable colours, one a line: three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
@@ -163,24 +158,24 @@ class PatternSettings:
     """Which colours there may be, and how finely they may change."""
 
     pattern: Literal["free", "camouflage", "tile"] = "free"
-    """Where colours may change: free, from face to face; camouflage, between patches of --feature-cm; tile, between
-    squares of --feature-cm in a cloth that repeats every --tile-cm."""
+    """Where colours change: free, at faces; camouflage, at patches of --feature-cm; tile, at squares of --feature-cm in
+    a cloth that repeats every --tile-cm."""
     feature_cm: Annotated[float, Bounds(0, 100, "(]")] = 2.0
-    """Diameter of the smallest patch, centimetres along the body in the first pose."""
+    """Diameter of the smallest patch along the body, centimetres."""
     tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
-    """For --pattern tile: width and height of the cloth that repeats, centimetres."""
+    """Width and height of the repeating cloth, centimetres."""
     colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
-    """End with at most this many distinct colours, of --palette or learnt; None gives each face its own."""
+    """End with at most so many colours, of --palette or learnt."""
     near: str | None = None
-    """Stay close to a garment: #rrggbb, clothing, camouflage (a woodland print), FILE.png@tile=METRES, colours of this
-    logo (.npy), a run or zoo:NAME; with --pattern to its mean in each square."""
+    """Garment to stay close to: #rrggbb, clothing, camouflage (woodland), FILE.png@tile=METRES, this logo's colours
+    (.npy), a run or zoo:NAME; with --pattern, its mean in each square."""
     within: Positive | None = None
-    """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
+    """Largest mean CIEDE2000 from --near; 1 is just visible."""
     within_most: Positive | None = None
-    """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
+    """Largest 95th percentile of it (default: twice --within)."""
     profile: str | None = None
-    """Profile of a printer and a camera (`cloak calibrate`): train the colours as they are photographed after printing;
-    `cloak print --profile` writes the colours to send."""
+    """Profile (`cloak calibrate`): train colours as photographed after printing; `cloak print --profile` writes those
+    to send."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
@@ -200,7 +195,7 @@ class SurrogateSettings:
     """
 
     shake: Annotated[float, Bounds(0, 1)] = 0.0
-    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this; 0: off."""
+    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,25 +207,23 @@ class OptimizerSettings:
     lr: Positive = 0.1
     """Learning rate, in units of colour [0, 1]."""
     momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """For sgd and mi, in [0, 1)."""
+    """Momentum of sgd and mi."""
     schedule: Literal["constant", "step", "cosine"] = "step"
-    """Learning rate over time: constant, times 0.1 every ten epochs (step), or a cosine that ends at 1 %."""
+    """Learning rate: constant, times 0.1 every ten epochs (step), or cosine to 1 %."""
     gamut: Literal["projection", "sigmoid"] = "projection"
-    """How colours stay in [0, 1]: projection after every update, or the sigmoid of free parameters."""
+    """Keep colours in [0, 1] by projection after every update, or as the sigmoid of free parameters."""
     initial: Literal[("grey", "random", "clothing", "animal", *PRINTS)] = "grey"
-    """First colours: grey; random; clothing, the first outfit; animal, a dog's face, which helps against detectors of
-    many classes; or a plain print that repeats every 25 cm, for a cloth: balls, crowd, ..."""
+    """First colours: grey; random; clothing, the first outfit; animal, a dog's face, against detectors of many classes;
+    or a plain print repeated every 25 cm: balls, crowd, ..."""
     init: str | None = None
-    """Begin with these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
-    transfer`)."""
+    """Begin with these colours: a run of the same logo, zoo:NAME, or colours [L, 3] (.npy)."""
     initial_share: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Share of the first colours in what is written (WiSE-FT, Wortsman et al., CVPR 2022): 0.5 helps a print
-    (--initial) or --init against detectors that training never saw."""
+    """Share of the first colours in the result (WiSE-FT, Wortsman et al., CVPR 2022): 0.5 helps a print or --init
+    against unseen detectors."""
     octaves: Annotated[int, Bounds(1, 10)] = 1
-    """Colours are the sum of this many grids, each twice as coarse as the one before; 1: the faces' own alone. Needs
-    --gamut sigmoid."""
+    """Sum of so many grids of colours, each twice as coarse; needs --gamut sigmoid."""
     smooth: Annotated[int, Bounds(0, 1000)] = 0
-    """Rounds of averaging with neighbouring faces between the free parameters and the colours; 0: each face its own."""
+    """Rounds of averaging free parameters with neighbouring faces'."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
@@ -248,7 +241,6 @@ class QuerySettings:
     """How a detector is asked that gives no gradient."""
 
     black_box_queries: Annotated[int | None, Bounds(1, 10_000_000)] = None
-    """Search with the detectors' answers alone, with this many images in all; best begun from transferred colours
-    (--init). None trains by gradients."""
+    """Images in a search by the detectors' answers alone, best begun with --init (default: train by gradients)."""
     query_change: Annotated[float, Bounds(0, 1, "(]")] = 0.1
     """How far a query moves the colours to either side, in units of colour [0, 1]."""

@@ -20,7 +20,7 @@ class RenderOptions:
     """Rendering options of the command line. Settings of training, evaluation and film inherit them."""
 
     samples: Literal[1, 4, 16, 64] | None = None
-    """Samples per pixel; None takes the renderer's default, 4 where every image has its own camera."""
+    """Samples per pixel; None: exact area, or 4 where every image has its own camera."""
 
 
 @dataclass(frozen=True)
