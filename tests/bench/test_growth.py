@@ -1,6 +1,5 @@
 """The growth run: its bodies, its fit, one series measured in processes of its own, and its report."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +7,7 @@ import pytest
 
 from cloak_core.bench import growth, growth_training
 from cloak_core.bench.growth_training import grow_step, write_simulated
-from cloak_core.core.geometry import outward_parts
 from cloak_core.sources.photographs.people import load_people
-from tests.sources.bodies.solids import is_closed
 from tests.sources.photographs.made_people import write_people
 
 
@@ -21,25 +18,11 @@ def test_exponents_are_slopes_of_the_last_three_points() -> None:
     assert growth.exponents(points, 2)["exponent"] == pytest.approx(0.75)
 
 
-def test_its_bodies_are_closed() -> None:
-    body = growth.sphere(3000)
-    assert is_closed(body.triangles) and outward_parts(body).all() and abs(body.triangle_count / 3000 - 1) < 0.1
-
-
 @pytest.mark.slow
 def test_a_point_is_measured_in_a_process_of_its_own() -> None:
     """With a budget that holds no view: it is dropped, nothing fails."""
     point = growth.measure("pixels", 32, threads=1, memory=1)
     assert point["size"] == 32 and point["seconds"] > 0 and point["peak_mib"] > 50
-
-
-def test_series_join_those_measured_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    made = lambda quantity, size, *_: {"size": size, "seconds": size, "working_mib": 2 * size, "peak_mib": 3 * size}
-    monkeypatch.setattr(growth, "measure", made)
-    for name in ("views", "pixels"):
-        result = growth.run_bench_growth(threads=1, only=(name,), out=tmp_path)
-    assert json.loads((tmp_path / "growth.json").read_text()) == result
-    assert result["exponents"] == pytest.approx({"views": 1.0, "pixels": 0.5})
 
 
 @pytest.mark.slow

@@ -50,11 +50,6 @@ def crossing(rng: np.random.Generator, count: int) -> stability.Triangles:
     return x, 100 + y % 2, depth
 
 
-def test_a_row_of_pixels_takes_bounded_time() -> None:
-    wrong, remark = stability.crowded(crossing, 1200)
-    assert wrong == 0 and 100 < int(remark.split()[2]) < 832
-
-
 @pytest.mark.filterwarnings("ignore::cloak_core.core.view.CrowdedPixels")
 def test_what_is_sampled_does_not_depend_on_how_rows_are_shared() -> None:
     x, y, depth = crossing(np.random.default_rng(0), 1200)
@@ -62,10 +57,3 @@ def test_what_is_sampled_does_not_depend_on_how_rows_are_shared() -> None:
     screen, triangles = screen_of(*corners, depth.ravel(), 416, 416), torch.arange(x.size).view(-1, 3).T.contiguous()
     areas = lambda top, bottom: area_fragments(screen, triangles, None, Window(0, top, 416, bottom)).area
     assert torch.equal(areas(100, 102), torch.cat([areas(100, 101), areas(101, 102)]))
-
-
-def test_light_that_is_off_is_a_mismatch(monkeypatch: pytest.MonkeyPatch) -> None:
-    twin = stability.TwinLight.__call__
-    off = lambda self, *where: tuple(value + 2e-4 for value in twin(self, *where))
-    monkeypatch.setattr(stability.TwinLight, "__call__", off)
-    assert stability.precision()[0] > 100

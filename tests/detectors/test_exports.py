@@ -3,7 +3,6 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 for package in ("onnx", "onnx2torch", "onnxruntime", "onnxscript", "onnxslim", "transformers"):
@@ -34,11 +33,3 @@ def test_a_file_of_today_is_a_white_box_and_hardened(row: tuple[str, str], tmp_p
     EXPORTS[row](path=path)
     judged = judge(path, LAYOUTS.get(row[0], ""))
     assert judged is None or (judged.white_box and judged.hardened), judged
-
-
-def test_the_page_says_what_the_record_does() -> None:
-    root = Path(__file__).parents[2]
-    files = pd.read_csv(root / "records/onnx-exports.csv").dropna(subset="opset")
-    counts = f"{files.white_box.eq(True).sum()} are white boxes and {files.hardened.eq(True).sum()} can be hardened"
-    page = " ".join((root / "docs/reference/detector-files.md").read_text().split())
-    assert f"Of {len(files)} files" in page and counts in page

@@ -23,24 +23,6 @@ class Module(torch.nn.Module):
         return boxes, images.mean((1, 2, 3))[:, None] * self.scale
 def load():
     return Module()
-def wrong():
-    return lambda x: x
-class Flat(torch.nn.Module):
-    def forward(self, images):
-        return images.sum((1, 2, 3)), images.sum((1, 2, 3))
-class Convolving(torch.nn.Module):
-    def __init__(self):
-        super().__init__()
-        self.register_buffer("kernel", torch.randn(4, 3, 3, 3, generator=torch.Generator().manual_seed(0)))
-    def flat(self, features):
-        return features.flatten(1)
-    def forward(self, images):
-        self.strides = images.stride()
-        scores = self.flat(torch.conv2d(images, self.kernel)).sigmoid()
-        return torch.zeros(*scores.shape, 4), scores
-class Viewing(Convolving):
-    def flat(self, features):
-        return features.view(len(features), -1)
 """
 
 
@@ -109,19 +91,6 @@ def test_python_module(module: Path) -> None:
     assert batch.grad is not None and batch.grad.abs().sum() > 0
     resized = load_detector(f"python:{module}:load@32")(images(2, 40, 60))
     torch.testing.assert_close(resized.boxes, found.boxes)
-
-
-@pytest.mark.parametrize(
-    ("function", "message"),
-    [
-        ("absent", "has no function 'absent'"),
-        ("wrong", "must return a torch.nn.Module, it returned function"),
-        ("Flat", r"must return boxes \[2, N, 4\] and scores \[2, N\]; it returned \[2\] and \[2\]"),
-    ],
-)
-def test_python_module_that_does_not_fit(function: str, message: str, module: Path) -> None:
-    with pytest.raises(InputError, match=message):
-        load_detector(f"python:{module}:{function}")(images())
 
 
 def test_state_hash_sees_everything(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ class Mine(torch.nn.Module):
 def load():
     return Mine()
 """
-FORWARD, SCORES, LAST = 10, 12, 16
+FORWARD, SCORES = 10, 12
 """Lines of it."""
 
 
@@ -57,33 +57,9 @@ def images(count: int = 2) -> torch.Tensor:
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
-        ("import sys\n", "import sys; sys.exit(0)\n", 2, "SystemExit: it ends the process with 0"),
-        ("import sys\n", "def f(:\n", 2, "SyntaxError: "),
-        ("    return Mine()", "    raise KeyError('weights')", LAST, "KeyError: 'weights'"),
-        ("    return Mine()", "    raise GeneratorExit", LAST, "GeneratorExit"),
-        ("torch.zeros(1))", "torch.eye(3).to_sparse())", None, r"\w+: "),  # which cannot be hashed
-        ("torch.zeros(1))", "torch.nn.UninitializedBuffer())", None, r"\w+: "),
-    ],
-)
-def test_what_loading_it_runs_into(tmp_path: Path, old: str, new: str, line: int | None, words: str) -> None:
-    place = "" if line is None else rf".*mine\.py:{line}: "
-    with pytest.raises(InputError, match=rf"python:.*mine\.py:load: {place}{words}") as said:
-        detector(tmp_path, old, new)
-    assert "\n" not in str(said.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "line", "words"),
-    [
         ("scores = images", "raise RuntimeError('two\\nlines'); scores = images", SCORES, "RuntimeError: two$"),
-        ("scores = images", "sys.exit(0); scores = images", SCORES, "SystemExit"),
         ("images.mean", "images.detach().mean", FORWARD, "its scores carry no gradient"),
-        ("[:, None]\n", "[:, None] * 5\n", FORWARD, r"scores must lie in \[0, 1\]"),
-        ("[:, None]\n", "[:, None] * float('nan')\n", FORWARD, r"scores must lie in \[0, 1\].* nan"),
         ("scores = images", "self.count += 1; scores = images", FORWARD, "changes its own parameters or buffers"),
-        ("scores = images", "self.count = self.count + 1; scores = images", FORWARD, "changes its own parameters"),
-        ("return boxes,", "return boxes * float('nan'),", FORWARD, "a corner of its boxes is not a finite"),
-        ("return boxes,", "return boxes + torch.tensor([5.0, 5, 1, 1]),", FORWARD, "a box has its corners swapped"),
         (", scores\n", ", torch.rand(2, 1) + 0 * scores\n", FORWARD, "asked twice about the same images: best scores"),
         (", scores\n", ", scores / len(images)\n", FORWARD, "sees an image alone and among others: best scores"),
     ],

@@ -7,19 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from cloak_core.cli import main
 from cloak_core.core.logo import area_share
-from cloak_core.experiments.declared import hardened
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
 from cloak_core.experiments.options import names
 from cloak_core.experiments.publish import make_page, publish
 from cloak_core.experiments.runner import draw_again, experiments, run_experiment
-from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
 from cloak_core.studies.data_split import DataSplit
-from cloak_core.studies.report.words import short_names
 from cloak_core.studies.store import RunStore
 from tests.studies.made_split import Glow, make_options, make_split
 
@@ -139,31 +135,6 @@ def test_every_experiment_runs(name: str, split: DataSplit, tmp_path_factory: py
     drawn_again(name, out)
 
 
-@pytest.mark.long
-def test_the_hardened_are_attacked_from_where_the_others_cloaks_ended(
-    split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(hardened, "SUITE", {name: hardened.SUITE[name] for name in (hardened.CHEST, hardened.BODY)})
-    monkeypatch.setattr(hardened, "QUESTIONS", 40)
-    monkeypatch.setattr(hardened, "LEAST_IMAGES", 1)
-    Image.new("RGB", (8, 8), "red").save(tmp_path / "red.png")
-    patterns = (str(tmp_path / "red.png"),)
-    small = replace(make_options(tmp_path, seeds=1), quick=False, images_per_view=1, patterns=patterns)
-    rows = run_experiment("hardened", RunStore(split, small))["rows"]
-    first, second = split.detectors
-    begun = [row for row in rows if "from the cloak" in row["changes"]]
-    assert [(row["detector"], row["logo"], row["attack"]) for row in begun] == [
-        (second, hardened.BODY, "adaptive"), (second, hardened.BODY, "random search")
-    ]  # fmt: skip
-    assert begun[0]["changes"] == f"from the cloak of {short_names(split.detectors)[first]}"
-    assert begun[1]["changes"].startswith("black box queries 40, from the cloak of")
-    worn = [row for row in rows if row["attack"] == "published"]
-    assert [(row["detector"], row["changes"]) for row in worn] == [(first, "red@tile=0.25"), (second, "red@tile=0.25")]
-    assert worn[0]["success"] < 0.5  # a red shirt is no disguise from what reports red
-    starts = [json.loads(path.read_text())["start"] for path in (tmp_path / "runs").glob("*/config.json")]
-    assert len(starts) - starts.count(None) == 2
-
-
 def drawn_again(name: str, out: Path) -> None:
     """Figures come back, byte by byte, from numbers.json alone; pictures are no figures, and stay."""
     folder = out / name
@@ -192,19 +163,3 @@ def test_logos_have_the_paper_s_shares(split: DataSplit, tmp_path: Path) -> None
     assert (trimmed(split.bodies, whole, 0.5) == whole).all()
     named = shapes(split.bodies, tmp_path, quick=True)
     assert next(iter(named)) == "disc 1.0%" and len(named) == 5
-
-
-def attacked(attack: str, success: float, steps: int = 400, logo: str = "chest + thighs") -> dict:
-    label = {"detector": "builtin", "logo": logo, "attack": attack, "steps": steps, "trained_on": "builtin"}
-    return label | {"success": success, "low": success - 0.05, "high": success + 0.05, "n": 330}
-
-
-def test_a_masked_gradient_shows_where_less_does_more() -> None:
-    same = ("detector", "logo")
-    marks = lambda *rows: [row["beats_adaptive"] for row in beats_adaptive(list(rows), same)]
-    longest, larger = attacked("adaptive", 0.25), attacked("adaptive", 0.4, logo="shirt + trousers")
-    assert longest_adaptive([attacked("adaptive", 0.1, 100), longest, larger], same) == [longest, larger]
-    assert marks(attacked("adaptive", 0.12, 100), longest, larger, attacked("random search", 0.05)) == [False] * 4
-    assert marks(attacked("adaptive", 0.12, 100), longest, attacked("random search", 0.6)) == [False, False, True]
-    assert marks(attacked("adaptive", 0.6, 100), longest) == [True, False]
-    assert marks(longest, attacked("transferred", 0.29)) == [False, False]  # within the interval

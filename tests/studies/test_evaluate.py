@@ -1,7 +1,6 @@
 """Evaluation end to end on small images: real bodies, real renders, detectors that look for something simple."""
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import torch
 from torch import Tensor
 
 from cloak_core.commands.evaluate import show_success
-from cloak_core.core.detector.outcomes import on_body
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
@@ -147,18 +145,6 @@ def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) ->
     shown = show(in_green(logo), bodies)
     run = lambda **changes: evaluate(shown, {"spec": GreenBlind()}, replace(SMALL, **changes))["detectors"]
     assert run() == run(batch=3)
-
-
-def test_true_boxes_decide_success_iou() -> None:
-    best = lambda detections, boxes: on_body(detections, boxes, within=math.inf).person.tolist()
-    detections = Detections(
-        torch.tensor([[[0.0, 0, 10, 20], [50, 50, 60, 70]]]).repeat(2, 1, 1), torch.tensor([[0.9, 0.7], [0.9, 0.7]])
-    )
-    true = torch.tensor([[50.0, 50, 60, 70], [0, 0, 10, 39]])
-    assert best(detections, true) == pytest.approx([0.7, 0.9])
-    assert best(detections, torch.zeros(2, 4)) == [0, 0]
-    nothing = Detections(torch.zeros(2, 0, 4), torch.zeros(2, 0))
-    assert best(nothing, true) == [0, 0]
 
 
 @pytest.mark.slow

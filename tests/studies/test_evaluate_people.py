@@ -21,7 +21,7 @@ from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.evaluate import read_evaluation
 from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
 from cloak_core.studies.trainings.run_record import _people
-from cloak_core.zoo.entry import entry, write_entry
+from cloak_core.zoo.entry import entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny
 from tests.schemas import validate
@@ -175,20 +175,6 @@ def test_an_evaluation_of_an_earlier_version_is_replaced_and_not_believed(run: P
     (worn / "wear.json").write_text('{"detectors": {}}')
     with pytest.raises(InputError, match="left alone"):  # what `cloak wear` wrote is no evaluation
         evaluate(run, people=path, out=worn, **HOW)
-
-
-def test_the_zoo_copies_what_content_told(run: Path, path: Path, tmp_path: Path) -> None:
-    config = json.loads((run / "config.json").read_text()) | trained_on(path)
-    (run / "config.json").write_text(json.dumps(config))
-    evaluate(
-        run, "sample:unseen[0:1]", "procedural:test:2", angles="0", images_per_view=1, bare=1, size=128, resamples=100
-    )
-    evaluate(run, people=path, **HOW)
-    record = write_entry(tmp_path, "mine", run, about="", licence="CC0-1.0")
-    assert record["people"]["unseen"] == {"photographs": False} and record["people"]["white_box"] == {"builtin": True}
-    assert record["people"]["detectors"]["builtin"].keys() == CONTROLS
-    kept = json.loads(np.load(tmp_path / "mine.npz")["config"].tobytes())["people"]
-    assert kept["pixels"] == config["people"]["pixels"] and not any("." in look for look in kept["looks"])
 
 
 @pytest.mark.long

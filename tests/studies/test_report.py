@@ -6,11 +6,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
-from cloak_core.studies.report.page import _environment
 from cloak_core.studies.report.words import interval, percent
 from tests.sources.photographs.test_coco_reader import with_value
 from tests.studies.made_evaluation import made_results, write_run
@@ -41,10 +39,6 @@ class Balanced(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open and self.open.pop() == tag
-
-
-def macros() -> object:
-    return _environment().get_template("macros.html").module
 
 
 def parse(text: str) -> Balanced:
@@ -106,20 +100,6 @@ def test_another_type_in_a_foreign_run_is_named(tmp_path: Path, file: str, place
     assert str(said.value).startswith(str(path)) and words in str(said.value)
 
 
-@pytest.mark.slow
-def test_several_detectors_and_warnings(tmp_path: Path) -> None:
-    specs = ("builtin", "darknet:/x/tiny.cfg:/x/tiny.weights@224")
-    run = write_run(tmp_path / "run", results=made_results(specs=specs))
-    path = run / "evaluation/summary.json"
-    more = {"unseen": {"bodies": False, "backgrounds": None}, "warnings": ["2 of the bodies were in the training set"]}
-    path.write_text(json.dumps(json.loads(path.read_text()) | more))
-    text = make_report(run).read_text("utf-8")
-    parse(text)
-    assert "darknet tiny @224" in text
-    assert "bodies seen in training" in text and "backgrounds: not known" in text
-    assert "2 of the bodies were in the training set" in text
-
-
 def test_damaged_evaluation_is_named(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", results=made_results())
     (run / "evaluation" / "scores.npz").write_bytes(b"PK")
@@ -140,18 +120,3 @@ def test_pictures_stay_in_their_folder(tmp_path: Path) -> None:
     path.write_text(json.dumps(pictures))
     with pytest.raises(InputError, match=r"secret\.png"):
         make_report(run)
-
-
-@pytest.mark.slow
-def test_a_turntable_in_the_run_or_the_evaluation_turns_in_the_report(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", results=made_results())
-    assert "All around" not in make_report(run).read_text("utf-8")
-    Image.new("RGB", (4, 4), "red").save(run / "evaluation/pictures/turntable.gif")
-    pictures = json.loads((run / "evaluation/pictures.json").read_text())
-    (run / "evaluation/pictures.json").write_text(json.dumps(pictures | {"turntable": "turntable.gif"}))
-    text = make_report(run).read_text("utf-8")
-    parse(text)
-    assert text.count("data:image/gif;base64,") == 1 and "All around" in text
-    (run / "evaluation/pictures/turntable.gif").unlink()
-    Image.new("RGB", (5, 5), "blue").save(run / "turntable.gif")  # the user's own stands for it
-    assert "data:image/gif;base64," in make_report(run).read_text("utf-8")

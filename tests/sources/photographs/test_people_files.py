@@ -139,16 +139,6 @@ def test_another_file_is_refused(tmp_path, content):
         load_people(path)
 
 
-def test_a_photograph_with_nobody_to_dress_is_not_opened(tmp_path):
-    path = edit(write_people(tmp_path), lambda record: record["annotations"][1].update(iscrowd=1))
-    (tmp_path / "made1.png").unlink()
-    people = load_people(path)
-    assert len(people) == 1 and people.left_out == {"crowd": 1}
-    edit(path, lambda record: record["annotations"][0].update(iscrowd=1))
-    with pytest.raises(InputError, match=r"nobody in it can be dressed \(crowd 2\)"):
-        load_people(path)
-
-
 def test_a_photograph_is_read_again_when_somebody_looks_and_only_if_it_is_the_same(tmp_path):
     person = load_people(write_people(tmp_path, 1)).people[0]
     photograph(seed=5).save(tmp_path / "made0.png")

@@ -68,14 +68,6 @@ def test_names_are_no_part_of_who_she_is(tmp_path: Path) -> None:
     assert [person.pixels for person in renamed] == [person.pixels for person in people]
 
 
-def test_another_depth_is_another_fit(tmp_path: Path) -> None:
-    people = load_people(write_people(tmp_path, 1))
-    moved = replace(people, people=(nearer(people.people[0]),))
-    first, other = fit_people(people)[0], fit_people(moved)[0]
-    assert first.identity != other.identity
-    assert fit_people(moved)[0].identity == other.identity
-
-
 def annotation_twice(record: dict) -> None:
     first = record["annotations"][0]
     record["annotations"] += [first, first | {"id": 77}]

@@ -112,18 +112,6 @@ def test_subsets_and_splits_keep_names_and_images():
         part.image(2)
 
 
-def test_memory_stays_within_its_bound(tmp_path, monkeypatch):
-    for i in range(8):
-        _save(tmp_path / f"{i}.png", np.full((16, 16, 3), 10 * i))
-    bound = 3 * 3 * 16 * 16
-    monkeypatch.setattr(module, "MEMORY_BYTES", bound)
-    backgrounds = load_backgrounds(tmp_path, size=(16, 16))
-    for _ in range(2):
-        for i in range(8):
-            assert int(backgrounds.image(i, (16, 16)).float().mean()) == 10 * i
-            assert backgrounds._cache.bytes <= bound
-
-
 @pytest.mark.slow
 def test_procedural_is_deterministic_and_its_sets_are_disjoint():
     first, again = load_backgrounds("procedural:train:4"), load_backgrounds("procedural:train:9")

@@ -41,17 +41,6 @@ def test_regions_stand_where_a_face_list_does(samples: Bodies, tmp_path: Path, m
         load_logo(samples, "chest")
 
 
-def test_unknown_regions_name_the_known_ones(samples: Bodies) -> None:
-    with pytest.raises(InputError, match=r"'hat' is unknown.*chest.*thighs"):
-        select_region(samples, "chest+hat")
-    with pytest.raises(InputError, match="none"):
-        select_region(cube(), "chest")
-    with pytest.raises(InputError, match="'chest-left' is unknown"):
-        select_region(samples, "chest-left")
-    with pytest.raises(InputError, match="no face"):
-        select_region(cube(regions={"nothing": np.zeros(6, bool)}), "nothing")
-
-
 @pytest.mark.parametrize(("facing", "face"), [("front", 5), ("back", 4), ("left", 1), ("right", 0)])
 def test_box_and_facing(facing: str, face: int) -> None:
     everything = (-1.0, 2.0, -1.0, 2.0, -1.0, 2.0)

@@ -128,13 +128,6 @@ def test_files_that_are_no_meshes(tmp_path: Path) -> None:
         import_bodies([])
 
 
-def test_scale_converts_units_and_silences_the_question(tmp_path: Path) -> None:
-    path = write_obj(tmp_path / "cm.obj", CUBE * 170, CUBE_FACES)
-    assert np.allclose(import_bodies([path], scale=0.01).vertices, CUBE * 1.7)
-    with pytest.raises(InputError, match="scale"):
-        import_bodies([path], scale=0.0)
-
-
 def test_scene_packages_and_meshes_mix(tmp_path: Path) -> None:
     body = cube(regions={"top": np.arange(6) == 3}, names=("first",))
     scene = write_scene(tmp_path / "scene", body)
@@ -337,13 +330,6 @@ def test_bad_gltf_files(tmp_path: Path) -> None:
             import_bodies([tmp_path / path])
     with pytest.raises(InputError, match="no animation"):
         import_bodies([tmp_path / "whole.glb"], frames=4)
-
-
-def test_nan_in_a_gltf_is_named(tmp_path: Path) -> None:
-    gltf = two_material_cube()
-    gltf.data = gltf.data[:4] + struct.pack("<f", np.nan) + gltf.data[8:]
-    with pytest.raises(InputError, match=r"n\.glb: vertex \d+ is not finite"):
-        import_bodies([gltf.glb(tmp_path / "n.glb")])
 
 
 # --- small files that unfold to large meshes --------------------------------------------------------------------------
