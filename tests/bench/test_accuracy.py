@@ -66,3 +66,8 @@ def test_scenes_of_overlapping_surfaces_are_exact_by_area_and_leak_by_samples(na
 def test_every_scene_is_made(name: str) -> None:
     made = accuracy.make_scene(name, sphere(100)).bodies
     assert made.triangle_count >= 80 and np.isfinite(made.vertices).all()
+
+
+def test_unknown_scene_is_named() -> None:
+    with pytest.raises(InputError, match="'moon'"):
+        accuracy.run_bench_accuracy(sphere(100), only=("moon",))

@@ -1,12 +1,14 @@
 """The growth run: its bodies, its fit, one series measured in processes of its own, and its report."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cloak_core.bench import growth, growth_training
-from cloak_core.bench.growth_training import grow_step, write_simulated
+from cloak_core.bench.growth_training import grow_people, grow_step, write_simulated
+from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import write_people
 
@@ -44,3 +46,34 @@ def test_simulated_people_differ_and_can_be_dressed(tmp_path: Path) -> None:
 def test_more_detectors_take_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(growth_training, "STEPS", 3)
     assert grow_step(4)["floor_ms"] > 1.5 * grow_step(1)["floor_ms"]
+
+
+@pytest.mark.slow
+def test_a_point_of_people_says_what_each_stage_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(growth_training, "BATCH", 2)
+    monkeypatch.setattr(growth_training, "STEPS", 1)
+    monkeypatch.setattr(growth_training, "SIZE", 128)
+    monkeypatch.setenv("CLOAK_CACHE", "off")  # set anew within, for the point's own files
+    figures = grow_people(2, str(write_people(tmp_path, 1)), None)
+    assert figures["seconds"] == pytest.approx(figures["read_s"] + figures["fit_s"])
+    assert figures["step_ms"] > figures["floor_ms"] > 0 and 10 < figures["disk_kB"] < 400
+
+
+def test_series_join_those_measured_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made = lambda quantity, size, *_: {"size": size, "seconds": size, "working_mib": 2 * size, "peak_mib": 3 * size}
+    monkeypatch.setattr(growth, "measure", made)
+    for name in ("views", "pixels"):
+        result = growth.run_bench_growth(threads=1, only=(name,), out=tmp_path)
+    assert json.loads((tmp_path / "growth.json").read_text()) == result
+    assert result["exponents"] == pytest.approx({"views": 1.0, "pixels": 0.5})
+
+
+def test_bad_input() -> None:
+    with pytest.raises(InputError, match="'moons'"):
+        growth.run_bench_growth(only=("moons",))
+    with pytest.raises(InputError, match="0 bytes"):
+        growth.run_bench_growth(memory=0)
+    with pytest.raises(InputError, match="needs --people"):
+        growth.run_bench_growth(only=("people",))
+    with pytest.raises(InputError, match="--most 30 leaves fewer than two sizes of people"):
+        growth.run_bench_growth(only=("people",), people=("people.json", None), most=30)

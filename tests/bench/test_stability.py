@@ -57,3 +57,22 @@ def test_what_is_sampled_does_not_depend_on_how_rows_are_shared() -> None:
     screen, triangles = screen_of(*corners, depth.ravel(), 416, 416), torch.arange(x.size).view(-1, 3).T.contiguous()
     areas = lambda top, bottom: area_fragments(screen, triangles, None, Window(0, top, 416, bottom)).area
     assert torch.equal(areas(100, 102), torch.cat([areas(100, 101), areas(101, 102)]))
+
+
+@pytest.mark.slow
+def test_the_record_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    some = {name: stability.CASES[name] for name in ("closed mesh", "image 1 x 1")}
+    checks = {"one wrong": lambda: (1, ""), "absent": lambda: None}
+    monkeypatch.setattr(stability, "CASES", some)
+    monkeypatch.setattr(stability, "CHECKS", checks)
+    monkeypatch.setattr(stability, "area_mismatches", lambda case: int(case.has_areas))
+    result = stability.run_bench_stability(grids=(1,), seeds=2)
+    assert (result["cases"], result["mismatches"]) == (6 + 4 + 1, 2 + 1)
+    assert result["by_case"]["absent"]["cases"] == 0 and "not run" in result["by_case"]["absent"]["remark"]
+
+
+def test_light_that_is_off_is_a_mismatch(monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = stability.TwinLight.__call__
+    off = lambda self, *where: tuple(value + 2e-4 for value in twin(self, *where))
+    monkeypatch.setattr(stability.TwinLight, "__call__", off)
+    assert stability.precision()[0] > 100

@@ -1,9 +1,15 @@
 """What long commands tell people and programs about how far they are."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
-from cloak_core.commands.progress import Pace, counted
+from cloak_core.commands.progress import Pace, WorkProgress, counted
+from cloak_core.commands.train import Train
+from cloak_core.commands.transfer import Transfer
 from cloak_core.core.events import read_events
+from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
 
 
@@ -51,3 +57,34 @@ def test_a_log_hears_at_the_start_what_there_is_to_do_and_soon_how_long_it_takes
         "counting: 1,000 beans",
         "counting: 3 of 1000, about 17 min left",
     ]
+
+
+def test_who_filled_a_matrix_on_people_is_told_to_train_on_people():
+    command = Transfer(detector=("builtin",), out=Path("matrix"), people="people.json", images=Path("photos"))
+    said = " ".join(command.following({}))
+    assert "--preset photographs --people people.json --images photos --logo shirt+trousers" in said
+    assert " ".join(replace(command, people=None).following({})[:5]) == "train --preset transfer --logo chest+thighs"
+
+
+def test_parts_of_work_are_told_in_turn(clock, capsys):
+    progress = WorkProgress()
+    for done in (0, 1, 100):
+        progress("zoo", done, 1000)
+        clock[0] += 60
+    assert capsys.readouterr().err.splitlines() == ["zoo: 0%", "zoo: 0%", "zoo: 10%, about 9 min left"]
+
+
+@pytest.mark.parametrize(
+    ("trained_on", "others"),
+    [
+        ("people.json[0::2]", "people.json[1::2]"),
+        ("people.json[1::2]", "people.json[0::2]"),
+        ("people.json[:40]", "OTHERS.json"),
+        ("people.json", "OTHERS.json"),
+        ("people.json[2::3]", "OTHERS.json"),
+    ],
+)
+def test_who_trained_on_people_is_told_to_judge_on_others(trained_on, others):
+    command = Train.of(make_settings("photographs"), logo=Path("logo.npy"), out=Path("run"), people=trained_on)
+    assert command.following({"out": "run"}) == ("evaluate", "run", "--people", others)
+    assert ("not trained on" in command.next_why) == (others == "OTHERS.json")

@@ -1,5 +1,6 @@
 """`cloak setup`: real environments and real pip, a tiny wheel instead of the trainer, no network."""
 
+import json
 import os
 import subprocess
 import zipfile
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from cloak_core.cli import main
 from cloak_core.commands import setup
 from cloak_core.files.errors import InputError
 
@@ -76,3 +78,10 @@ def test_bad_sources_and_too_little_room_are_said_before_anything_is_written(tmp
     with pytest.raises(InputError, match=r"takes about 1000000000.0 GB, but .* GB are free there"):
         setup.Setup(into=tmp_path / "trainer").run()
     assert not (tmp_path / "trainer").exists()
+
+
+def test_setup_says_what_this_trainer_is(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["setup", "--json"])
+    about = json.loads(capsys.readouterr().out)
+    assert set(about) == {"cloak", "torch", "python", "device", "program"} and about["torch"][0].isdigit()

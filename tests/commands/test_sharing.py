@@ -9,7 +9,7 @@ from cloak_core.commands import sharing
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.reproduce import PARTS, Reproduce
 from cloak_core.experiments.options import Options
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.locks import lock
 from cloak_core.jobs.job import done
 from cloak_core.studies import store, training_store
@@ -126,3 +126,9 @@ def test_a_real_cluster_makes_the_matrix_of_one_process(transfer, tmp_path, tmp_
         for cell in cells.values():
             cell.pop("seconds")
     assert ours == theirs
+
+
+def test_a_part_that_was_ended_early_ends_the_command_in_order(transfer, elsewhere, tmp_path, monkeypatch):
+    monkeypatch.setattr(store.RunStore, "train_faces", failing(Stopped("enough")))
+    assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 3
+    assert len(elsewhere.names) == 1

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core import cli
+from cloak_core import __version__, cli
+from cloak_core.cli import in_words
 
 ASCII = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
 
@@ -187,3 +188,29 @@ def test_a_run_folder_whose_name_is_not_utf_8(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parents[2])
     assert done.returncode == 0, done.stderr.decode()
     assert Path(json.loads(done.stdout)["report"]).read_text("utf-8").startswith("<!")
+
+
+@pytest.mark.parametrize("line", ["--version --json", "--json --version"])
+def test_the_version_as_json(line: str, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(line.split())
+    assert not end.value.code and json.loads(capsys.readouterr().out) == {"version": __version__}
+
+
+def test_errors_that_are_no_defects_have_words(tmp_path: Path) -> None:
+    import torch
+
+    for error in (
+        MemoryError("Unable to allocate 8 GiB"),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes."),
+        torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB"),
+        OSError(12, "Cannot allocate memory"),
+        ImportError("libtorch.so: failed to map segment from shared object: Cannot allocate memory"),
+        ImportError("pandas/_libs/lib.so: failed to map segment from shared object"),
+    ):
+        assert in_words(error).startswith("not enough memory ("), error
+    assert in_words(OSError(28, "No space left on device", "a.npy")) == (
+        "a.npy: cannot be written (No space left on device)"
+    )
+    for defect in (RuntimeError("shapes differ"), ImportError("no module"), OSError(5, "Input/output error")):
+        assert in_words(defect) is None

@@ -205,3 +205,21 @@ def test_an_entry_becomes_a_body_that_wears_it(tmp_path, capsys):
     assert export("transfer-anny") == 2 and "--scene: say which body" in capsys.readouterr().err
     assert export("transfer-anny", "--scene", "sample") == 2 and "topology" in capsys.readouterr().err
     assert not (tmp_path / "worn.glb").exists()
+
+
+def test_an_entry_says_what_it_is_worth_on_people_in_photographs(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["zoo", "show", "yolov8n-anny"])
+    told = read_entry(SHELF, "yolov8n-anny").record["people"]["detectors"]["onnx:yolov8n.onnx@conf=0.25"]["logo"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"on {told['n']} people in photographs, judged by onnx yolov8n @conf=0.25: {told['success']:.0%} at" in (
+        said.replace(" %", "%")
+    )
+
+
+def test_the_zoo_ships_with_the_built_in_detectors_cloak(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["zoo", "list", "--json"])
+    assert not end.value.code
+    listed = {record["name"]: record for record in json.loads(capsys.readouterr().out)["zoo"]}
+    assert listed["builtin-sample"]["detectors"] == ["builtin"] and listed["builtin-sample"]["success"] > 0.9

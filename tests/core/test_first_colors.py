@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from cloak_core.core.geometry import face_centres, face_normals
-from cloak_core.core.logo import load_logo
+from cloak_core.core.logo import load_logo, make_logo
 from cloak_core.core.prints import print_picture
 from cloak_core.core.settings import make_settings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.trainings.first_colors import DARK, animal_face, first_colors
+from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors
+from tests.sources.bodies.solids import cube
 
 
 @pytest.fixture(scope="module")
@@ -62,3 +63,12 @@ def test_a_cloth_begins_with_a_print_as_sharp_as_its_squares(samples: Bodies) ->
     # What is no whole number of pieces wide is filled without a seam all the same.
     cloth = ClothPattern(logo, Grid.of(0.3, 0.0012), bodies=samples)
     assert np.abs(cloth.picture(first_colors(settings, cloth, samples)) - piece / 255).max() < 0.003
+
+
+def test_a_small_logo_gets_a_small_animal_and_a_flat_one_none(samples: Bodies) -> None:
+    chest = load_logo(samples, "chest")
+    colors = animal_face(samples, chest)
+    assert (colors == np.float32(DARK)).all(1).any() and (colors == np.float32(FUR)).all(1).any()
+    side = make_logo(cube(), [1])
+    assert (animal_face(cube(), side) == 0.5).all()
+    assert np.isfinite(animal_face(cube(), make_logo(cube(), [0, 1, 4, 5]))).all()

@@ -9,6 +9,8 @@ from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.defended.masking import EntropyMask, SegmenterMask, local_entropy
 from cloak_core.detectors.defended.squeezing import Bits, Blur, Jpeg, Median, ResizePad
+from cloak_core.detectors.defended.table import DEFENCES, list_defences
+from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.studies.trained_run import trained_against
@@ -192,3 +194,8 @@ def test_the_segmenter_masks_a_patch_of_noise_and_leaves_a_plain_wall() -> None:
     assert float(evidence.mean()) < 0.05
     lenient, strict = (SegmenterMask(p).evidence(picture).mean() for p in (0.1, 0.9))
     assert float(lenient) > float(strict)
+
+
+def test_the_table_is_told_with_the_families() -> None:
+    assert [row["defence"] for row in list_families()["defences"]] == list(DEFENCES)
+    assert {row["spec"] for row in list_defences()} >= {"jpeg=QUALITY:SPEC", "resize-pad[=LARGEST]:SPEC"}

@@ -223,3 +223,11 @@ def test_code_that_never_returns_is_ended(where: str, wait: str, here: Path, mon
     with pytest.raises(InputError, match=rf"mine\.py:load: .*mine\.py:{line}: no answer in 0\.3 s"):
         load_detector(spec)(images())
     assert signal.getsignal(signal.SIGALRM) is before and signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+@pytest.mark.timeout(60, method="thread")
+@pytest.mark.parametrize("said", ["soon", "-1", "nan"])
+def test_a_limit_that_is_no_number_is_refused(said: str, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", said)
+    with pytest.raises(InputError, match=f"CLOAK_DETECTOR_SECONDS: '{said}' is no number of seconds"):
+        load_detector(written(here))

@@ -105,3 +105,10 @@ def test_state_hash_sees_everything(tmp_path: Path) -> None:
     assert state_hash(twin) != before
     detector.network.layers[0].train()
     assert state_hash(detector) != before
+
+
+@pytest.mark.parametrize(("suffix", "cells"), [("", 8 * 8), ("@32", 4 * 4), ("@32x128", 4 * 16), ("@64,letterbox", 64)])
+def test_size_in_the_spec(suffix: str, cells: int, tmp_path: Path) -> None:
+    assert load_detector(write_tiny(tmp_path) + suffix)(images()).scores.shape == (2, 2 * cells)
+    # What is said beside the spec wins.
+    assert load_detector(write_tiny(tmp_path) + suffix, input_size=(32, 64))(images()).scores.shape == (2, 2 * 32)

@@ -238,3 +238,13 @@ def test_pixels_are_tried_where_nobody_says(path: Path, tmp_path: Path) -> None:
     for options in ("bgr", "range=255", "bgr,range=255"):
         own = check_image(load_detector(f"onnx:{path}@{options}"), tmp_path / "a.png")
         assert "pixels" not in own and own["max_person"] == pytest.approx(found["pixels"][options], abs=1e-6)
+
+
+def test_the_check_is_made_once_for_each_content(path: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "cache"))
+    load_detector(f"onnx:{path}")
+    from cloak_core.detectors.onnx_family import detector as module
+
+    monkeypatch.setattr(module, "compare", lambda *_: pytest.fail("compared again"))
+    path.rename(tmp_path / "moved.onnx")
+    assert load_detector(f"onnx:{tmp_path / 'moved.onnx'}").differentiable

@@ -183,3 +183,11 @@ def test_inputs_that_nobody_can_run_are_refused(spec: str, tmp_path: Path) -> No
     path = Made().finished().save(tmp_path / "huge.onnx", sides=("height", "width"), imgsz="[8192, 8192]")
     with pytest.raises(InputError, match=r"huge\.onnx: an input size of 8192x8192 is not possible"):
         load_detector(f"onnx:{path}")
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "{", '{"classes": {"a": 1}, "person_class": true, "confidence": "high"}'])
+def test_another_programs_json_is_left_alone(text: str, tmp_path: Path) -> None:
+    path = Made().finished().save(tmp_path / "m.onnx")
+    path.with_suffix(".json").write_text(text)
+    detector = load_detector(f"onnx:{path}")
+    assert detector.class_names == ("cat", "person") and detector.operating_point_assumed and detector.pixels_assumed

@@ -14,6 +14,7 @@ import onnxruntime  # noqa: E402
 from cloak_core.detectors.loading import load_detector  # noqa: E402
 from cloak_core.detectors.onnx_family.networks import NotConvertible, prepared, to_torch  # noqa: E402
 from cloak_core.detectors.verification import verify  # noqa: E402
+from cloak_core.files.errors import InputError  # noqa: E402
 from tests.detectors.helpers import images  # noqa: E402
 from tests.detectors.test_onnx import SIDE, Made  # noqa: E402
 
@@ -141,3 +142,11 @@ def test_a_weight_of_five_axes(tmp_path: Path) -> None:
     network.node("Add", "all anchors", "five")
     network.node("Reshape", "five back", "output")
     assert load_detector(f"onnx:{network.save(tmp_path / 'm.onnx', opset=18)}").differentiable
+
+
+def test_an_opset_newer_than_the_installed_onnx_says_both_numbers(tmp_path: Path) -> None:
+    newest = onnx.defs.onnx_opset_version()
+    with pytest.raises(
+        InputError, match=rf"is of opset {newest + 1}, the installed onnx .* knows opsets up to {newest}"
+    ):
+        load_detector(f"onnx:{made().save(tmp_path / 'm.onnx', opset=newest + 1)}")

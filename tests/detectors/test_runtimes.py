@@ -220,3 +220,10 @@ def test_class_names_packed_behind_the_network() -> None:
         archive.writestr("labelmap.txt", "person\nbicycle\n\n")
     assert runtimes._labels(b"TFL3 weights" + packed.getvalue()) == ("person", "bicycle")
     assert runtimes._labels(b"TFL3 weights") is None
+
+
+def test_files_that_are_no_tflite(tmp_path: Path) -> None:
+    pytest.importorskip("ai_edge_litert", reason="pip install 'cloak-core[tflite]'")
+    (tmp_path / "a.tflite").write_bytes(b"not a network at all")
+    with pytest.raises(InputError, match=r"a.tflite: not a TFLite network"):
+        load_detector(f"tflite:{tmp_path / 'a.tflite'}")

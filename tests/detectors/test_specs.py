@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from cloak_core.core.detector.protocol import state_hash
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.naming import full_spec
 from cloak_core.detectors.specs import parse_spec
@@ -179,3 +180,31 @@ def test_operating_points() -> None:
     assert builtin.operating_point == 0.5 and not builtin.operating_point_assumed
     own = load_detector("builtin@conf=0.3")
     assert own.operating_point == 0.3 and not own.operating_point_assumed
+
+
+def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = []
+
+    def compile(function):
+        return lambda images: ran.append(len(images)) or function(images)
+
+    monkeypatch.setattr(torch, "compile", compile)
+    plain, compiled = (load_detector(spec, person_class="1", compiled=c) for c in (False, True))
+    assert torch.equal(compiled(images(3)).scores, plain(images(3)).scores)
+    assert ran == [3] and compiled.compiled and not plain.compiled and state_hash(compiled) == state_hash(plain)
+
+    def fail(images):
+        raise torch._inductor.exc.InvalidCxxCompiler
+
+    monkeypatch.setattr(torch, "compile", lambda function: fail)
+    with pytest.raises(InputError, match="--compile: torch cannot compile here"):
+        load_detector(spec, person_class="1", compiled=True)(images())
+
+
+def test_precision_is_automatic_only_where_it_gains(spec: str) -> None:
+    assert load_detector(spec, person_class="1", precision="auto").precision == "float32"
+    rough = load_detector(spec, person_class="1", precision="bfloat16")
+    exact = load_detector(spec, person_class="1")
+    found = rough(images())
+    assert found.scores.dtype == torch.float32 and not torch.equal(found.scores, exact(images()).scores)
+    torch.testing.assert_close(found.scores, exact(images()).scores, rtol=0, atol=0.02)

@@ -240,3 +240,12 @@ def test_it_reaches_no_network_and_leaves_the_process_as_it_was(tmp_path: Path) 
     assert said["online"] is False and Path(said["settings"]).is_relative_to(tmp_path / "cache")
     assert "spoken" in run.stderr
     assert not [path for path in home.rglob("*") if "ltralytics" in path.name]
+
+
+@pytest.mark.slow
+def test_an_activation_that_the_package_no_longer_builds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = original(monkeypatch)
+    model.model[0].act = nn.Hardswish()
+    torch.save({"model": model}, tmp_path / "old.pt")
+    with pytest.raises(InputError, match=r"model\.0\.act is Hardswish in the file, SiLU in .*: written by a version"):
+        load_detector(f"ultralytics:{tmp_path / 'old.pt'}")

@@ -13,8 +13,10 @@ from cloak_core.core.logo import area_share
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
 from cloak_core.experiments.options import names
 from cloak_core.experiments.publish import make_page, publish
-from cloak_core.experiments.runner import draw_again, experiments, run_experiment
+from cloak_core.experiments.runner import draw_again, experiments, measure, measure_part, run_experiment
+from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
+from cloak_core.studies import store, training_store
 from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.store import RunStore
 from tests.studies.made_split import Glow, make_options, make_split
@@ -163,3 +165,38 @@ def test_logos_have_the_paper_s_shares(split: DataSplit, tmp_path: Path) -> None
     assert (trimmed(split.bodies, whole, 0.5) == whole).all()
     named = shapes(split.bodies, tmp_path, quick=True)
     assert next(iter(named)) == "disc 1.0%" and len(named) == 5
+
+
+def attacked(attack: str, success: float, steps: int = 400, logo: str = "chest + thighs") -> dict:
+    label = {"detector": "builtin", "logo": logo, "attack": attack, "steps": steps, "trained_on": "builtin"}
+    return label | {"success": success, "low": success - 0.05, "high": success + 0.05, "n": 330}
+
+
+def test_a_masked_gradient_shows_where_less_does_more() -> None:
+    same = ("detector", "logo")
+    marks = lambda *rows: [row["beats_adaptive"] for row in beats_adaptive(list(rows), same)]
+    longest, larger = attacked("adaptive", 0.25), attacked("adaptive", 0.4, logo="shirt + trousers")
+    assert longest_adaptive([attacked("adaptive", 0.1, 100), longest, larger], same) == [longest, larger]
+    assert marks(attacked("adaptive", 0.12, 100), longest, larger, attacked("random search", 0.05)) == [False] * 4
+    assert marks(attacked("adaptive", 0.12, 100), longest, attacked("random search", 0.6)) == [False, False, True]
+    assert marks(attacked("adaptive", 0.6, 100), longest) == [True, False]
+    assert marks(longest, attacked("transferred", 0.29)) == [False, False]  # within the interval
+
+
+def test_unknown_experiment(split: DataSplit, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="experiment 'table2': not one of table1"):
+        run_experiment("table2", RunStore(split, make_options(tmp_path)))
+    with pytest.raises(InputError, match="no finished experiment"):
+        make_page(tmp_path)
+
+
+@pytest.mark.slow
+def test_what_the_parts_of_an_experiment_made_is_found_by_the_whole(
+    split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_store, transfer = RunStore(split, make_options(tmp_path, seeds=1)), experiments()["transfer"]
+    for part in range(3):
+        measure_part(transfer, run_store, part, 3)
+    for module, name in ((training_store, "train"), (store, "measure_frozen")):
+        monkeypatch.setattr(module, name, lambda *given, **more: pytest.fail("made again"))
+    assert len(measure(transfer, run_store).rows) == 4

@@ -10,7 +10,7 @@ import pytest
 
 from cloak_core.exchange.bodies import Bodies, frozen
 from cloak_core.files import identity
-from cloak_core.files.identity import code_hash, source_hash
+from cloak_core.files.identity import code_hash, package_versions, source_hash
 
 
 def bodies(**changes: object) -> Bodies:
@@ -107,3 +107,7 @@ def test_a_python_file_is_known_with_what_it_imports_from_its_folder(tmp_path: P
         (moved / name).write_text(content + "z = 3\n")
         assert source_hash(moved / "renamed.py") != before, name
         (moved / name).write_text(content)
+
+
+def test_versions_of_packages() -> None:
+    assert package_versions("numpy", "no-such-package") == {"numpy": np.__version__}

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from cloak_core.detectors.defended.masking import SIDE, PatchSegmenter, load_segmenter
+from cloak_core.files.errors import InputError
 from tools.pretrain.segmenter_training import SegmenterSettings, Shown, loss, train_segmenter
 
 
@@ -38,3 +39,10 @@ def test_what_is_written_loads_and_says_what_it_is_worth(tmp_path: Path) -> None
     network = load_segmenter(path)
     assert isinstance(network, PatchSegmenter) and not network.training
     assert network(torch.rand(1, 3, 100, 120)).shape[1] == 1
+
+
+def test_another_networks_weights_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.safetensors"
+    path.write_bytes(b"\x00" * 64)
+    with pytest.raises(InputError, match="not the weights of a patch segmenter"):
+        load_segmenter(path)

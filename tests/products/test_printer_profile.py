@@ -198,3 +198,9 @@ def test_the_command_writes_a_chart_and_a_profile(tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
         cli.main(["calibrate", "--out", str(tmp_path / "q.npz")])
     assert end.value.code == 2
+
+
+def test_grey_patches_alone_are_refused():
+    greys = np.linspace(0, 1, 40)[:, None].repeat(3, 1)
+    with pytest.raises(InputError, match="do not differ in red, green and blue"):
+        fit_profile(greys, greys)

@@ -5,6 +5,7 @@ from cloak_core.core.geometry import face_areas, inner_edges
 from cloak_core.core.logo import select_region
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
+from cloak_core.files.errors import InputError
 from cloak_core.products.transfer import transfer_logo
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
 from cloak_core.sources.bodies.people.samples import sample_bodies
@@ -87,3 +88,12 @@ def test_what_the_target_lacks_is_named(body: Bodies) -> None:
     there = transfer_logo(body, ids, target, reach=0.02)
     assert 0.4 < there.coverage < 0.65
     assert left[there.unplaced].all() and len(there.unplaced) > 0.6 * left[ids].sum()
+
+
+def test_bad_input(body: Bodies) -> None:
+    ids = select_region(body, "chest")
+    legs = Bodies(body.vertices, body.triangles[body.regions["thighs"][body.triangle_face]])
+    with pytest.raises(InputError, match="no face"):
+        transfer_logo(body, ids, legs)
+    with pytest.raises(InputError, match="colours for 2"):
+        transfer_logo(body, ids, body, np.zeros((2, 3), np.float32))

@@ -169,3 +169,49 @@ def test_bad_options_are_one_line(size: list[str], tmp_path: Path, capsys: pytes
         main(["assess", *["builtin"] * bool(size), *size, "--out", str(tmp_path)])
     said = "--size, --quick, --full, --minutes: one of them" if size else "holds no card"
     assert said in capsys.readouterr().err
+
+
+def short_card(**changes: object) -> dict:
+    """A card by hand: one cloak on 76 % of the body, the zoo, photographs; all measured, nobody hidden."""
+    row = S | {"asked": 0.76, "area": 0.76, "steps": 300, "success_own": 0.02, "ci95_own": [0.0, 0.1]}
+    zoo = row | {"name": "others", "trained_against_it": False}
+    clean = {"recall_own": 0.99, "false_alarms_own": 0.01, "ci95_own": [0.9, 1.0], "ci95_false_alarms_own": [0.0, 0.1]}
+    card = {"spec": "builtin", "size": "quick", "partial_gradient": "", "clean": clean | {"state": "measured"}}
+    card |= {"white_box": [row], "around": None, "black_box": {"zoo": [zoo]}}
+    return card | {"patterns": [], "photographs": None} | changes
+
+
+def hiding(row: dict, share: float, state: str = "measured") -> dict:
+    return row | {"success_own": share, "ci95_own": [share, share], "state": state}
+
+
+S = {"success": 0.3, "renamed_own": None, "gone_own": None, "named_own": None, "state": "measured"}
+
+
+def test_one_rule_says_how_sure_a_figure_is_everywhere() -> None:
+    """A cloak of 25 updates: no page, badge, table or gate takes its share for the detector's."""
+    card = short_card()
+    assert words.verdict(card) == ("good", "no attack hid half") and words.tiles(card)[1]["kind"] == "good"
+    states = [words.state_of_attack(Part("x", steps=n, area=area), "") for n, area in ((25, 0.76), (300, 0.2))]
+    assert states == ["at least"] * 2
+    states = [words.state_of_attack(Part("x", steps=n, area=area), "") for n, area in ((300, 0.76), (600, None))]
+    assert states == ["measured"] * 2 and words.state_of_attack(Part("zoo x"), "held") == "measured"
+    assert words.state_of_attack(Part("circle", steps=600), "the second stage is held") == "at least"
+    card["white_box"] = [hiding(card["white_box"][0], 0.02, "at least") | {"steps": 25}]
+    (line,) = words.lines(card)
+    assert "at least 2 %" in words.headline(card) and line["value"] == "≥ 2 %"
+    assert line["kind"] == words.verdict(card)[0] == "unknown"
+    (tile,) = [tile for tile in words.tiles(card) if "76 %" in tile["what"]]
+    assert (tile["value"], tile["state"], tile["kind"]) == ("≥ 2 %", "at least", "unknown") and "25 upd" in tile["what"]
+    (missing,) = [tile for tile in words.tiles(card) if "all around" in tile["what"]]
+    assert (missing["value"], missing["state"]) == ("–", "not measured")
+    assert "short of the protocol" in words.advice(card)
+
+
+def test_advice_names_hardening_only_where_it_is() -> None:
+    bad = short_card()
+    bad["white_box"] = [hiding(bad["white_box"][0], 0.9)]
+    assert "harden it (cloak harden builtin)" in words.advice(bad)
+    assert "cloak harden" not in words.advice(bad | {"spec": "tflite:net.tflite"})
+    assert "cloak harden" not in words.advice(bad | {"spec": "jpeg=75:builtin"})
+    assert "without any attack" in words.advice(bad | {"clean": bad["clean"] | {"recall_own": 0.5}})

@@ -16,12 +16,14 @@ from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.library import evaluate, train
 from cloak_core.products.run_report import make_report
+from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.evaluate import read_evaluation
+from cloak_core.studies.opening import open_run, snapshot_pattern
 from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
 from cloak_core.studies.trainings.run_record import _people
-from cloak_core.zoo.entry import entry
+from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny
 from tests.schemas import validate
@@ -187,3 +189,36 @@ def test_a_run_on_photographs_is_trained_and_judged(tmp_path: Path) -> None:
     assert unseen["people"] == 2 and unseen["unseen"] == {"photographs": True} and unseen["white_box"] == {"red": True}
     seen = evaluate(tmp_path / "run", people=load_people(path), detectors=judge, out=tmp_path / "all", **HOW)
     assert seen["unseen"] == {"photographs": False} and seen["people"] == 4
+
+
+def test_snapshots_of_a_cloth_are_judged_as_fine_as_the_cloth(path: Path, tmp_path: Path) -> None:
+    # What was trained last is what the run wears, so the curve ends at the evaluation's own figures.
+    how = {"steps": 2, "batch": 1, "samples": 1, "tv_weight": 0.0, "initial": "balls", "pattern": "tile"}
+    how |= {"tile_cm": 25.0, "feature_cm": 0.5, "preview_every": 0, "snapshot_every": 1}
+    run = train(None, people=path, logo="shirt+trousers", detectors=["builtin"], out=tmp_path / "run", **how).out
+    said = evaluate(run, people=path, over_time=True, controls=("grey",), **HOW)
+    rates, last = said["detectors"]["builtin"], said["over_time"][-1]["detectors"]["builtin"]
+    assert last == {key: rates["logo"][key] for key in last}
+    shown, config = run / "snapshots" / "step-00000002.png", json.loads((run / "config.json").read_text())
+    worn, on_bodies = (open_run(run, config, None, bodies)[0] for bodies in (None, sample_bodies("unseen")))
+    snapshot = snapshot_pattern(run, shown.with_suffix(".npy"), worn.cover)
+    assert shown.read_bytes() == (run / "cloth.png").read_bytes()
+    assert snapshot.identity == worn.identity == on_bodies.identity
+    # An earlier version kept the faces' colours alone, which hide less than the cloth.
+    shown.unlink()
+    with pytest.raises(InputError, match=r"step-00000002\.png: no such file: .* earlier version"):
+        evaluate(run, people=path, over_time=True, controls=("grey",), **HOW)
+
+
+def test_the_zoo_copies_what_content_told(run: Path, path: Path, tmp_path: Path) -> None:
+    config = json.loads((run / "config.json").read_text()) | trained_on(path)
+    (run / "config.json").write_text(json.dumps(config))
+    evaluate(
+        run, "sample:unseen[0:1]", "procedural:test:2", angles="0", images_per_view=1, bare=1, size=128, resamples=100
+    )
+    evaluate(run, people=path, **HOW)
+    record = write_entry(tmp_path, "mine", run, about="", licence="CC0-1.0")
+    assert record["people"]["unseen"] == {"photographs": False} and record["people"]["white_box"] == {"builtin": True}
+    assert record["people"]["detectors"]["builtin"].keys() == CONTROLS
+    kept = json.loads(np.load(tmp_path / "mine.npz")["config"].tobytes())["people"]
+    assert kept["pixels"] == config["people"]["pixels"] and not any("." in look for look in kept["looks"])

@@ -126,3 +126,16 @@ def test_a_key_that_is_no_figure_is_refused(key: str, said: str, tmp_path: Path)
     except InputError as error:
         told = str(error)
     assert said in told and bool(said) == bool(told)
+
+
+def test_nothing_is_measured_under_a_gate_that_cannot_be_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Assessment, "run", lambda _: pytest.fail("measured"))
+    (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.3")
+    words = ["--size", "quick", "--out", str(tmp_path / "cards"), "--gate", str(tmp_path / "gate.toml")]
+    with pytest.raises(SystemExit, match="2"):
+        main(["assess", "builtin", *words, "--junit", str(tmp_path / "gate.xml")])
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert "no figure of this card (size quick, no --people); did you mean white_box.76.success_own?" in said
+    assert not (tmp_path / "gate.xml").exists()

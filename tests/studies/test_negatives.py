@@ -1,6 +1,7 @@
 """False alarms on cloth that nobody wears, and thresholds that make them equal."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -15,6 +16,7 @@ from cloak_core.studies.negatives import (
     RANDOM,
     cloak_textures,
     flat_scores,
+    pattern_alarms,
     pattern_scores,
 )
 
@@ -53,3 +55,12 @@ def test_flat_rectangles_of_every_kind_stand_in_the_same_places(monkeypatch: pyt
         changed = [(one != images[0]).any(0) for one in images[1:]]
         assert all(0.01 < float(one.float().mean()) < 0.9 for one in changed)
         assert all(float((one & changed[1]).sum() / (one | changed[1]).sum()) > 0.95 for one in changed)
+
+
+def test_alarms_are_told_by_kind_with_and_without_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"pattern": [CLOAK, CLOAK, RANDOM], "score": [0.9, 0.55, 0.1], "plain": [0.7, 0.1, 0.1]}
+    monkeypatch.setattr(negatives, "pattern_scores", lambda *_, **__: pd.DataFrame(scores))
+    monkeypatch.setattr(negatives, "flat_scores", lambda *_: pd.DataFrame())
+    told = pattern_alarms(load_detector("builtin"), load_backgrounds("procedural:test:1"), sample_bodies("unseen"))
+    assert told[CLOAK] == {"n": 2, "alarms": 0.5, "plain": 0.5, "alarms_own": 1.0, "plain_own": 0.5}
+    assert told[RANDOM] == {"n": 1, "alarms": 0.0, "plain": 0.0, "alarms_own": 0.0, "plain_own": 0.0}

@@ -16,6 +16,7 @@ from cloak_core.studies.report.pictures import (
     worst_trials,
     write_shot,
 )
+from cloak_core.studies.report.plots import success_by_body
 from tests.core.fakes import RedDetector
 from tests.studies.made_evaluation import made_results, write_run
 
@@ -64,3 +65,10 @@ def test_the_report_shows_them(tmp_path: Path) -> None:
     assert "Of 6 bodies in their poses" in text and "success 25" in text
     few = make_report(write_run(tmp_path / "few", results=made_results())).read_text("utf-8")
     assert "bodies in their poses" not in few
+
+
+def test_many_bodies_make_a_curve_of_bounded_size() -> None:
+    figure = success_by_body(made_results(bodies=MANY), "builtin", 0.6)
+    assert figure.get_figheight() < 6
+    for line in figure.axes[0].lines:
+        assert len(line.get_ydata()) == 60 and (np.diff(line.get_ydata()) >= 0).all()

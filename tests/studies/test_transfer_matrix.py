@@ -10,6 +10,7 @@ import pytest
 from cloak_core.core.evaluation.settings import StoreOptions
 from cloak_core.core.logo import chest_thighs
 from cloak_core.core.run_config import read_config
+from cloak_core.core.settings import make_settings, merge
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
@@ -20,8 +21,11 @@ from cloak_core.studies.data_split import DataSplit
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.transfer import (
     FRONT,
+    LADDER,
     PHOTOGRAPHS,
     Matrix,
+    ablation_names,
+    ablation_settings,
     families,
     gather,
     kinship,
@@ -129,3 +133,19 @@ def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
     assert table["judged"].tolist() == ["onnx red", "yolo a"] and table["kin"].tolist() == ["stranger", "sibling"]
     assert table["success"].tolist() == values and table["gone"].isna().tolist() == [True, False]
     assert table["surrogates"][1] == "onnx red; yolo b"
+
+
+def test_rungs_are_alone_or_in_order_and_their_settings_exist():
+    assert ablation_settings("best") == {"preset": "best"}
+    assert ablation_settings("shake") == {"preset": "best", "shake": 0.3}
+    window = {"smooth": 8, "initial": "animal", "crop": 0.15, "pad": 0.3}
+    assert ablation_settings("+window") == {"preset": "best", **window}
+    recipe, upon = merge(ablation_settings("recipe")), merge(ablation_settings("+cutout"))
+    assert {name for name in upon if recipe[name] != upon[name]} == {"preset", "steps"}
+    assert ablation_settings("recipe") == {"preset": "transfer"}
+    every = ablation_names(("ladder", "best"))
+    assert len(every) == len(set(every)) == 2 * len(LADDER) + 2
+    for name in every:
+        make_settings(**(dict(FRONT.training) | ablation_settings(name)))
+    with pytest.raises(InputError, match="--rungs: 'nothing' is not one of"):
+        ablation_names(("best", "nothing"))

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.commands.wear import show_worn
+from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.measure import measure
 from cloak_core.core.evaluation.settings import WearSettings
@@ -210,3 +210,11 @@ BAD = {
 def test_colours_that_cannot_be_worn_are_named(red, words):
     with pytest.raises(InputError, match=words):
         open_pattern(BAD[words].format(red=red))
+
+
+def test_a_pattern_of_names_is_every_picture_with_one(tmp_path):
+    for name in ("b.png", "a.png", "c.jpg"):
+        (tmp_path / name).touch()
+    assert expanded(f"{tmp_path}/*.png@tile=0.5") == [f"{tmp_path}/{name}@tile=0.5" for name in ("a.png", "b.png")]
+    as_they_are = ("zoo:transfer-people", "runs/first", f"{tmp_path}/none*.png@patch=0.3", f"{tmp_path}/a.png")
+    assert [expanded(color) for color in as_they_are] == [[color] for color in as_they_are]

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.studies import zoo_reproduction
 from cloak_core.studies.zoo_reproduction import Files, evaluate_again
 from cloak_core.zoo.entry import entry, shelved
+from tests.core.fakes import RedDetector
 
 RATES = {"success": 0.9, "success_own": 0.5, "ci95": [0.8, 1.0], "ci95_own": [0.4, 0.6], "n": 10}
 
@@ -56,3 +58,19 @@ def test_the_command_goes_on_past_missing_files_and_fails_where_a_figure_changed
     assert [row["name"] for row in told["zoo"]] == ["builtin-sample"] and len(told["left_out"]) == len(shelved()) - 1
     assert "zoo:builtin-sample: builtin: not what was recorded" in said.err
     assert reproduce("ssd-anny") == 2 and "a.onnx" in capsys.readouterr().err
+
+
+def test_what_does_not_ship_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"bodies_anny\.npz, which zoo:ssd-anny was judged with, does not ship"):
+        evaluate_again(entry("ssd-anny"), Files(), None, "cpu", None)
+    with pytest.raises(InputError, match=r"bodies_anny\.npz, .* is not in "):
+        evaluate_again(entry("ssd-anny"), Files(tmp_path), None, "cpu", None)
+    (tmp_path / "deep").mkdir()
+    for name in ("a-1.2.cfg", "a_3.weights"):
+        (tmp_path / "deep" / name).write_bytes(b"")
+    asked = []
+    monkeypatch.setattr(zoo_reproduction, "load_detector", lambda spec, device: asked.append(spec) or RedDetector())
+    for spec in ("darknet:a-1.2.cfg:a_3.weights@224,conf=0.25", "builtin@conf=0.5"):
+        zoo_reproduction._detector(spec, Files(tmp_path), "zoo:a", "cpu")
+    deep = tmp_path / "deep"
+    assert asked == [f"darknet:{deep}/a-1.2.cfg:{deep}/a_3.weights@224,conf=0.25", "builtin@conf=0.5"]

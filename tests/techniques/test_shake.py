@@ -2,11 +2,15 @@
 
 import contextlib
 
+import pytest
 import torch
 from torch import nn
 
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
+from cloak_core.files.errors import InputError
 from cloak_core.techniques.shake import Shake
+from tests.core.fakes import TinyDetector
+from tests.core.test_training import run
 
 IMAGES = torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(0))
 
@@ -60,3 +64,10 @@ def test_two_maps_of_which_none_was_read_are_both_shaken():
         small = one[:, :4] + other[:, :4]  # too few channels for features
     assert total.unique().numel() == 1 and 1 < float(total[0, 0, 0, 0]) < 3 and float(total[0, 0, 0, 0]) != 2
     assert (small == 2).all() and (one == 1).all()
+
+
+def test_compiled_detectors_are_refused(tmp_path):
+    detector = TinyDetector()
+    detector.compiled = True
+    with pytest.raises(InputError, match="tiny:0: compiled"):
+        run(tmp_path / "run", [detector], shake=0.1)

@@ -14,7 +14,8 @@ from cloak_core.bench.gpu import Operations
 from cloak_core.bench.oracle import screen_of
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import View
-from cloak_core.core.visibility.compiled import torch_alone, triton_kernels
+from cloak_core.core.visibility import compiled
+from cloak_core.core.visibility.compiled import torch_alone, triton_kernels, use_kernels
 from cloak_core.core.visibility.rasterizer import rasterize
 from cloak_core.core.visibility.screen import GRID, GUARD
 from cloak_core.core.visibility.settings import Light, RenderSettings
@@ -120,3 +121,21 @@ def test_kernels_compile_for_a_card_and_round_every_operation(monkeypatch: pytes
     assert not done.returncode, done.stderr
     assert re.search(r"mul\S*\.f64", done.stdout) and re.search(r"(atom|red)\S*min\.s64", done.stdout)
     assert not re.search(r"fma\S*\.f64", done.stdout)
+
+
+def test_where_no_kernel_starts_torch_draws_and_a_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def no_compiler(device: torch.device) -> None:
+        raise RuntimeError("Failed to find C compiler.\nMore of it.")
+
+    from cloak_core.core.visibility.fused.kernel import try_out
+
+    try_out(torch.device("cpu"))  # interpreted
+    monkeypatch.setattr("cloak_core.core.visibility.fused.kernel.try_out", no_compiler)
+    compiled._kernels_start.cache_clear()
+    assert not use_kernels(torch.device("cuda")) and not use_kernels(torch.device("cuda"))
+    compiled._kernels_start.cache_clear()
+    assert [record.message for record in caplog.records] == [
+        "Triton's kernels do not start here, torch's operations draw instead: Failed to find C compiler."
+    ]

@@ -78,3 +78,10 @@ def test_ids_may_be_names_of_images_and_whole_numbers_with_a_point(sound) -> Non
         annotation["id"] = float(annotation["id"])
     path.write_text(json.dumps(named))
     assert len(load_people(path)) == 2
+
+
+def test_a_box_far_from_its_landmarks_is_named(sound) -> None:
+    path, record = sound
+    path.write_text(json.dumps(with_value(record, ("annotations", 0, "bbox"), [5.0, 5.0, 20.0, 100.0])))
+    with pytest.raises(InputError, match=r"annotation 1 .*: bbox lies elsewhere than its landmarks"):
+        load_people(path)

@@ -190,3 +190,10 @@ def test_a_body_that_does_not_fit_is_left_out(tmp_path):
     assert found["people"] == 2 and found["left_out"]["does not fit"] == 1
     with pytest.raises(InputError, match="people: the body fits none of its 2 people"):
         fit_people(load_people(edit(write_people(tmp_path / "none", 2), widened(0, 1))))
+
+
+def test_a_list_of_nothing_is_refused(tmp_path):
+    (tmp_path / "list.txt").write_text("# none\n")
+    for spec, words in ((tmp_path / "list.txt", "holds one a line"), (tmp_path / "*.json", "no file has such a name")):
+        with pytest.raises(InputError, match=words):
+            load_people(spec)

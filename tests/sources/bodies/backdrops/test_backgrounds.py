@@ -195,3 +195,10 @@ def test_the_second_run_decodes_nothing(tmp_path, monkeypatch):
     for i in range(3):
         (tmp_path / f"{i}.png").unlink()
     assert (second.batch([2, 1, 0], 32, 32) == batch.flip(0)).all()
+
+
+def test_where_nothing_can_be_written_nothing_is_kept(tmp_path, caplog):
+    (tmp_path / "file").write_text("in the way")
+    files = cache(tmp_path / "file" / "images")
+    assert not files.put("a", DATA) and not files.put("b", DATA)
+    assert files.get("a") is None and caplog.text.count("not kept") == 1

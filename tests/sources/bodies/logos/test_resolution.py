@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cloak_core.core.cameras import Camera
-from cloak_core.sources.bodies.logos.resolution import projected_areas
+from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.logos.resolution import projected_areas, resolution
 from tests.sources.bodies.solids import cube
 
 
@@ -14,3 +15,8 @@ def test_the_front_of_a_cube_has_the_area_that_its_distance_gives() -> None:
     focal = 200 / math.tan(math.radians(30))
     assert areas[5] == pytest.approx((focal / 2.5) ** 2)  # the front is half a metre nearer than the pivot
     assert np.allclose(areas[[0, 1, 2, 3, 4]], 0)
+
+
+def test_a_camera_inside_the_body_is_refused() -> None:
+    with pytest.raises(InputError, match="behind the camera"):
+        resolution(cube(), Camera(distance=0.3))

@@ -2,7 +2,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloak_core.core.geometry import face_centres
+from cloak_core.core.geometry import face_areas, face_centres
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
 from tests.sources.bodies.solids import CUBE, CUBE_FACES, cube, is_closed, sphere
 
@@ -64,3 +65,13 @@ def test_closed_bodies_stay_closed_and_keep_their_corners(columns: int, rows: in
     assert divided.vertex_count - int(divided.loop_total.sum()) // 2 + divided.face_count == 2
     # Children lie side by side, in their parents' order.
     assert (np.diff(parent) >= 0).all() and parent[-1] == body.face_count - 1
+
+
+def test_triangle_meshes_split_one_to_four() -> None:
+    body = cube()
+    triangles = Bodies(body.vertices, body.triangles)
+    divided, parent = subdivide(triangles)
+    assert (divided.vertex_count, divided.face_count) == (8 + 18, 48)
+    assert np.array_equal(parent, np.repeat(np.arange(12), 4))
+    assert is_closed(divided.triangles)
+    assert np.allclose(face_areas(divided), np.repeat(face_areas(triangles) / 4, 4))

@@ -116,3 +116,11 @@ def test_scenes_with_textures_are_checked() -> None:
     ):
         with pytest.raises(InputError, match=says):
             Bodies(**fields, **more)
+
+
+def test_uv_arrays_as_smplx_files_have_them(tmp_path: Path) -> None:
+    np.savez(tmp_path / "uv.npz", vt=np.random.default_rng(0).random((5, 2)), ft=np.array([[0, 1, 2], [2, 3, 4]] * 2))
+    assert with_uv_of(two_quads(), tmp_path / "uv.npz").triangle_uv.shape == (4, 3)
+    np.savez(tmp_path / "bad.npz", vt=np.zeros((5, 2)), ft=np.zeros((3, 3), int))
+    with pytest.raises(InputError, match=r"bad\.npz: vt, ft: triangle_uv"):
+        with_uv_of(two_quads(), tmp_path / "bad.npz")
