@@ -248,17 +248,6 @@ def test_modules_and_functions_are_detectors(tmp_path: Path) -> None:
         cloak_core.train(bodies, front_logo(bodies), brightness, noise_backgrounds(), **how | {"out": tmp_path / "x"})
 
 
-def test_a_torchvision_model_is_a_detector_as_its_spec_is() -> None:
-    from torchvision.models import detection
-
-    torch.manual_seed(0)
-    model = detection.ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None).train()
-    detector = cloak_core.as_detector(model)
-    assert type(detector).__name__ == "DenseDetector" and detector.person == 1 and model.training
-    found = detector(torch.rand(2, 3, 96, 96))
-    assert found.scores.shape[0] == 2 and 0 <= float(found.scores.min()) <= float(found.scores.max()) <= 1
-
-
 def test_a_module_that_returns_something_else_is_named() -> None:
     with pytest.raises(cloak_core.InputError, match=r"Linear: .*must return \(boxes, scores\)"):
         cloak_core.as_detector(torch.nn.Linear(3, 3))(torch.rand(1, 3, 3, 3))

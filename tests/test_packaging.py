@@ -19,7 +19,6 @@ from tests.shared_folders import fill_once
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-WORKFLOWS = ROOT / ".github" / "workflows"
 TRACES = shutil.ignore_patterns(".*_cache", "__pycache__", "*.egg-info")
 AT_TOP = shutil.ignore_patterns(".git", ".venv*", "runs", "build", "dist", "site")
 
@@ -85,17 +84,6 @@ def test_the_readme_of_the_package_index_has_no_link_that_leads_nowhere() -> Non
     for text in (linked, bare):
         assert all(target.startswith("https://") for target in re.findall(r"\]\(([^)]+)\)", text))
     assert "![" not in bare and "[Learning Transferable" in bare
-
-
-def test_a_push_tries_every_python_that_the_package_promises() -> None:
-    yaml = pytest.importorskip("yaml")
-    jobs = {path.stem: yaml.safe_load(path.read_text("utf-8"))["jobs"] for path in WORKFLOWS.glob("*.yml")}
-    tried = set(jobs["wheel"]["containers"]["strategy"]["matrix"]["python"])
-    promised = {line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)}
-    assert promised and promised <= tried
-    asked = [job["uses"] for name in ("ci", "release") for job in jobs[name].values() if "uses" in job]
-    assert asked == ["./.github/workflows/wheel.yml"] * 2
-    assert "wheel" in jobs["release"]["publish"]["needs"], "nothing is released that was not tried"
 
 
 @pytest.mark.long
@@ -197,43 +185,3 @@ def test_setting_up_takes_a_torch_that_is_there(versions: dict[str, str], found:
     command = [sys.executable, "-S", str(ROOT / "tools" / "find_torch.py")]
     done = subprocess.run(command, env={"PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == ((0, str(folder)) if found else (1, "")), done.stderr
-
-
-FAKE_PYTHON = """#!/bin/sh
-case "$1" in
-    tools/editable_elsewhere.py) printf '%s' "$OTHER" ;;
-    tools/list_requirements.py) exec PYTHON "$@" ;;
-    -m) echo "$@" >>"$LOG" ;;
-esac
-"""
-
-
-@pytest.mark.parametrize("shared", [True, False])
-def test_a_second_checkout_leaves_a_shared_environment_to_the_first(shared: bool, tmp_path: Path) -> None:
-    shutil.copytree(ROOT / "tools", tmp_path / "tools")
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    fake = tmp_path / ".venv" / "bin" / "python"
-    fake.parent.mkdir(parents=True)
-    fake.write_text(FAKE_PYTHON.replace("PYTHON", sys.executable))
-    fake.chmod(0o755)
-    log = tmp_path / "pip.log"
-    environment = os.environ | {"OTHER": "/elsewhere" if shared else "", "LOG": str(log), "PYTHON": sys.executable}
-    run("sh", "tools/setup.sh", "docs", cwd=tmp_path, env=environment)
-    said = log.read_text()
-    assert "install" in said and ("-e .[docs]" in said) == (not shared) and (" -r " in said) == shared
-
-
-def test_whose_editable_installation_it_is(tmp_path: Path) -> None:
-    def told(folder: Path) -> str:
-        installed = tmp_path / "site" / "cloak_core-1.dist-info"
-        installed.mkdir(parents=True, exist_ok=True)
-        (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: cloak-core\nVersion: 1\n")
-        (installed / "direct_url.json").write_text(json.dumps({"url": folder.as_uri(), "dir_info": {"editable": True}}))
-        environment = {"PYTHONPATH": str(tmp_path / "site")}
-        return run(sys.executable, "-S", ROOT / "tools" / "editable_elsewhere.py", env=environment).stdout
-
-    (tmp_path / "other one").mkdir()
-    assert told(tmp_path / "other one") == ""  # nothing is left there
-    (tmp_path / "other one" / "pyproject.toml").write_text("")
-    assert told(tmp_path / "other one") == str((tmp_path / "other one").resolve())
-    assert told(ROOT) == ""

@@ -89,22 +89,6 @@ def test_help_is_short_and_says_what_options_share_in_one_wording():
     assert len({o.words.removesuffix(" Repeatable.") for o in options if o.words.startswith("Detector: ")}) == 1
 
 
-@pytest.mark.slow
-def test_help_does_not_wait_for_torch():
-    code = """
-import sys
-from cloak_core import cli
-
-for words in (["--help"], *([name, "--help"] for name in ("train", "evaluate", "reproduce", "sweep", "demo"))):
-    try:
-        cli.main(words)
-    except SystemExit:
-        print("torch" in sys.modules)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert [line for line in done.stdout.splitlines() if line in ("True", "False")] == ["False"] * 6, done.stderr
-
-
 def test_a_defect_keeps_its_traceback(monkeypatch, scene):
     def broken(_):
         raise RuntimeError("a defect")

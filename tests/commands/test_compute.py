@@ -1,6 +1,5 @@
 """Where to compute: every command takes it, the command alone changes the process; and what a demo is judged on."""
 
-import ctypes
 import json
 
 import pytest
@@ -11,8 +10,6 @@ from cloak_core.commands.options import chosen_device, prepare_process
 from cloak_core.core.settings.components import ComputeSettings
 from cloak_core.files.errors import InputError
 from cloak_core.studies.trained_run import kept_back
-from cloak_core.studies.trainings.training import train
-from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 
 @pytest.fixture
@@ -30,20 +27,6 @@ def test_a_command_prepares_its_process(threads):
     assert torch.get_num_threads() == threads + 1
     with pytest.raises(InputError, match="--threads: 0 is not in"):
         prepare_process(ComputeSettings(threads=0))
-
-
-def test_training_leaves_the_process_as_it_was(tmp_path, threads, monkeypatch):
-    asked, library, set_threads = [], ctypes.CDLL, torch.set_num_threads
-
-    def opened(name, *arguments, **options):
-        assert name is not None, "the C library's own settings (mallopt) are the command's to change"
-        return library(name, *arguments, **options)
-
-    monkeypatch.setattr(ctypes, "CDLL", opened)
-    monkeypatch.setattr(torch, "set_num_threads", lambda count: (asked.append(count), set_threads(count)))
-    bodies, chosen = box_bodies(), tiny_settings(steps=1, threads=threads + 7)
-    train(chosen, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds(), tmp_path / "run")
-    assert torch.get_num_threads() == threads and threads + 7 not in asked
 
 
 def test_what_was_kept_back_is_known_either_way():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core.commands.progress import Pace, WorkProgress, counted
+from cloak_core.commands.progress import WorkProgress, counted
 from cloak_core.commands.train import Train
 from cloak_core.commands.transfer import Transfer
 from cloak_core.core.events import read_events
@@ -36,27 +36,6 @@ def test_a_count_is_told_as_a_runs_events_are(tmp_path):
     assert times == sorted(times) and times[0] >= 0
     with pytest.raises(InputError, match="exists already"), counted("counting", path):
         pass
-
-
-def test_the_first_report_and_what_was_found_done_tell_nothing_of_the_time_left(clock):
-    pace = Pace()
-    for seconds, done in ((30.0, 1), (0.0, 100), (3.0, 103)):
-        assert pace.left(200) is None
-        clock[0] += seconds
-        pace.report(done)
-    assert pace.left(200) == pytest.approx(97.0) and pace.is_news() and not pace.is_news()
-    assert pace.left(103) is None
-
-
-def test_a_log_hears_at_the_start_what_there_is_to_do_and_soon_how_long_it_takes(clock, capsys):
-    with counted("counting", unit="beans") as tell:
-        for done in range(9):
-            tell(done, 1000)
-            clock[0] += 1
-    assert capsys.readouterr().err.splitlines()[:2] == [
-        "counting: 1,000 beans",
-        "counting: 3 of 1000, about 17 min left",
-    ]
 
 
 def test_who_filled_a_matrix_on_people_is_told_to_train_on_people():

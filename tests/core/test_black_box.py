@@ -74,21 +74,6 @@ def test_a_stopped_search_goes_on_to_the_same_colours(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_search_that_broke_after_a_round_does_not_count_it_twice(tmp_path):
-    how = HOW | {"black_box_queries": 140, "checkpoint_every": EVERY}
-    whole = run(tmp_path / "whole", [Asked()], **how)
-
-    def fail(event):
-        if event["type"] == "round" and event["queries"] > queries_after(EVERY, 4):
-            raise RuntimeError("the power went")
-
-    with pytest.raises(RuntimeError, match="the power went"):
-        run(tmp_path / "part", [Asked()], on_event=fail, **how)
-    rest = run(tmp_path / "part", [Asked()], resume=True, **how)
-    assert np.array_equal(whole.colors, rest.colors) and whole.curve == rest.curve
-
-
-@pytest.mark.slow
 def test_every_detectors_images_count_and_a_start_is_taken(tmp_path):
     first = run(tmp_path / "first", [TinyDetector()], steps=1, preview_every=0)
     result = run(tmp_path / "run", [Asked(), TinyDetector()], black_box_queries=24, init=str(tmp_path / "first"), **HOW)

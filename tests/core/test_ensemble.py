@@ -171,14 +171,3 @@ def test_an_adaptive_ensemble_weighs_most_what_still_sees():
     assert np.array_equal(other.weights, ensemble.weights)
     with pytest.raises(ValueError, match="other detectors"):
         adaptive(2).load(ensemble.state())
-
-
-def test_an_adaptive_subset_asks_those_more_often_that_still_see():
-    ensemble = adaptive(3, detectors_per_step=1)
-    count = lambda: np.bincount([ensemble.asked(step)[0] for step in range(300)], minlength=3)
-    assert count().min() > 70
-    for _ in range(40):
-        ensemble.observe({0: 0.0, 1: 0.9, 2: 0.0})
-    drawn = count()
-    assert drawn[1] > 150 and drawn[[0, 2]].min() > 30
-    assert ensemble.weight(1, asked=1) == pytest.approx(1)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import load_logo, make_logo
 from cloak_core.core.prints import print_picture
 from cloak_core.core.settings import make_settings
@@ -29,23 +28,6 @@ def test_grey_random_and_clothing(samples: Bodies) -> None:
     assert (begin("grey") == 0.5).all() and begin("grey").shape == (len(logo), 3)
     assert np.array_equal(begin("random", 1), begin("random", 1))
     assert not np.array_equal(begin("random", 1), begin("random", 2))
-
-
-def test_the_animal_looks_out_of_chest_and_back(samples: Bodies) -> None:
-    logo = load_logo(samples, "shirt+trousers")
-    colors = animal_face(samples, logo)
-    centres, normals = face_centres(samples)[logo.face_ids], face_normals(samples)[logo.face_ids]
-    tall = np.ptp(samples.vertices[0][:, 1])
-    for front in (True, False):
-        side = (normals[:, 2] > 0) == front
-        dark = side & (colors == np.float32(DARK)).all(1)
-        left, right = (dark & (centres[:, 0] * sign > 0.04 * tall) for sign in (1, -1))
-        assert left.any() and right.any(), "two eyes"
-        eyes, nose = centres[left | right, 1].mean(), centres[dark & ~left & ~right, 1].mean()
-        assert 0.05 * tall < eyes - nose < 0.15 * tall
-        assert abs(centres[left, 1].mean() - centres[right, 1].mean()) < 0.01 * tall
-        assert centres[dark, 1].min() > centres[:, 1].min() + 0.3 * tall, "on the trunk, not on the legs"
-    assert (colors == 0.5).all(1).mean() > 0.3, "arms and legs begin grey"
 
 
 def test_a_cloth_begins_with_a_print_as_sharp_as_its_squares(samples: Bodies) -> None:

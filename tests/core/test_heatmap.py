@@ -30,17 +30,6 @@ def test_heat_is_where_the_detector_looks():
     assert 0 < heat.sum() < 0.8 * 3 * 32 * 64 / (3 * 32 * 64)
 
 
-def test_heat_is_the_mean_over_views():
-    bodies, backgrounds = box_bodies(2), noise_backgrounds()
-    heat = lambda poses, angles: heatmap(
-        bodies.select_poses(poses), TopRowDetector(), backgrounds, angles, size=64, backgrounds_per_view=2
-    )
-    both = heat([0, 1], [0.0, 20.0])
-    apart = [heat([pose], [angle]) for pose in (0, 1) for angle in (0.0, 20.0)]
-    assert not np.allclose(apart[0], apart[3])
-    assert np.allclose(both, np.mean(apart, axis=0), atol=1e-7)
-
-
 def test_bad_input():
     bodies = box_bodies(1)
     with pytest.raises(InputError, match="not finite"):

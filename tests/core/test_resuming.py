@@ -1,7 +1,6 @@
 """Runs that were stopped, damaged or finished go on, to the same bits, or are refused by name."""
 
 import contextlib
-import json
 import os
 import shutil
 import signal
@@ -47,21 +46,6 @@ def test_stopped_runs_go_on_to_the_same_bits(tmp_path, how):
     assert [e["time"] for e in events] == sorted(e["time"] for e in events)
     drop_time = lambda es: [{k: v for k, v in e.items() if k != "time"} for e in es if e["type"] == "step"]
     assert drop_time(events) == drop_time(read_events(tmp_path / "whole" / "events.jsonl"))
-
-
-@pytest.mark.slow
-def test_a_run_that_names_retired_options_resumes_where_they_were_off(tmp_path):
-    off = {"hard_views": 0.0, "zoom": "1", "jpeg": None, "reduce": "max", "ascent": "momentum", "wrinkle_draws": 4}
-    done = run(tmp_path / "run")
-    path = tmp_path / "run" / "config.json"
-    record = json.loads(path.read_text())
-    record["settings"] |= off
-    path.write_text(json.dumps(record))
-    assert np.array_equal(run(tmp_path / "run", resume=True).colors, done.colors)
-    record["settings"]["hard_views"] = 0.5
-    path.write_text(json.dumps(record))
-    with pytest.raises(InputError, match=r"config\.json: --hard-views 0\.5: this version has no such option"):
-        run(tmp_path / "run", resume=True)
 
 
 @pytest.mark.slow

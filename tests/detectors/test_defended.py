@@ -77,16 +77,6 @@ def test_an_image_is_answered_alike_alone_and_in_a_batch(tiny: str, head: str) -
     torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-4)
 
 
-def test_nested_defences_work_from_the_outside_in(tiny: str) -> None:
-    pixels = images(1)
-    nested = load_detector(f"bits=2:blur=2:{tiny}")
-    inner = load_detector(tiny)
-    expected = inner(Blur(2.0)(Bits(2.0)(pixels)))
-    torch.testing.assert_close(nested(pixels).scores, expected.scores)
-    assert nested.spec == f"bits=2:blur=2:{inner.spec}"
-    assert not torch.allclose(nested(pixels).scores, load_detector(f"blur=2:bits=2:{tiny}")(pixels).scores)
-
-
 def test_what_rounds_passes_its_gradient_straight_through() -> None:
     assert set(Bits(1.0)(images(1)).flatten().tolist()) == {0.0, 1.0}
     pixels = images(1, 16, 16).requires_grad_()

@@ -134,16 +134,6 @@ def test_a_reshape_of_a_fixed_batch_is_run_image_by_image(tmp_path: Path, caplog
     assert bool((after < before).all())
 
 
-def test_a_bias_that_is_a_constant_node(tmp_path: Path) -> None:
-    made = Made()
-    made.node("Constant", "", "offset", value=made.weights[2])
-    made.body(bias="offset")
-    made.head()
-    detector = load_detector(f"onnx:{made.save(tmp_path / 'constant.onnx')}")
-    assert detector.differentiable
-    close(detector, detector_session(tmp_path / "constant.onnx"))
-
-
 def test_integers_are_a_black_box(tmp_path: Path, caplog) -> None:
     made = Made()
     made.weight("scale", np.array(1 / 255))

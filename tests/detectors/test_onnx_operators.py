@@ -132,18 +132,6 @@ def test_a_black_box_says_why_where_and_what_to_do(tmp_path: Path, caplog: pytes
     assert why in report["checks"]["parity"]["words"]
 
 
-def test_a_weight_of_five_axes(tmp_path: Path) -> None:
-    """YOLOv5's anchors have five: channels last is a layout of four."""
-    network = made()
-    network.weight("anchors", np.zeros((1, 1, 1, 6, 64)))
-    network.weight("back", ints(-1, 6, 64), onnx.TensorProto.INT64)
-    last = next(node for node in network.nodes if node.output[0] == "output")
-    last.output[0] = last.name = "all"
-    network.node("Add", "all anchors", "five")
-    network.node("Reshape", "five back", "output")
-    assert load_detector(f"onnx:{network.save(tmp_path / 'm.onnx', opset=18)}").differentiable
-
-
 def test_an_opset_newer_than_the_installed_onnx_says_both_numbers(tmp_path: Path) -> None:
     newest = onnx.defs.onnx_opset_version()
     with pytest.raises(

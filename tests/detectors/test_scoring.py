@@ -9,11 +9,9 @@ from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.detector.scoring import (
     box_iou,
     is_detected,
-    max_objectness,
     max_person_score,
     person_boxes,
 )
-from cloak_core.files.errors import InputError
 
 
 def found(scores: list[list[float]], boxes: list | None = None, **more) -> Detections:
@@ -27,17 +25,6 @@ def test_max_scores_and_threshold() -> None:
     assert max_person_score(detections).tolist() == pytest.approx([0.61, 0.6])
     assert is_detected(detections).tolist() == [True, False]  # above, not at, the threshold
     assert is_detected(detections, 0.5).tolist() == [True, True]
-
-
-def test_objectness_counts_persons_only() -> None:
-    detections = found(
-        [[0.1, 0.2], [0.1, 0.2]],
-        objectness=torch.tensor([[0.9, 0.4], [0.9, 0.8]]),
-        is_person=torch.tensor([[False, True], [False, False]]),
-    )
-    assert max_objectness(detections).tolist() == pytest.approx([0.4, 0.0])
-    with pytest.raises(InputError, match="objectness"):
-        max_objectness(found([[0.1]]))
 
 
 def test_no_boxes_at_all_keep_the_graph() -> None:

@@ -37,20 +37,6 @@ def test_a_drive_letter_parts_nothing(spec: str, parts: list[str]) -> None:
     assert split_spec(spec) == parts
 
 
-@pytest.mark.parametrize(
-    ("spec", "parts"),
-    [
-        (r"darknet:C:\dir\a.cfg:C:\dir\a.weights@416,letterbox", [r"C:\dir\a.cfg", r"C:\dir\a.weights"]),
-        (r"python:C:\dir\mine.py:load", [r"C:\dir\mine.py", "load"]),
-        ("onnx:C:/dir/a.onnx:yolov8@person=0", ["C:/dir/a.onnx", "yolov8"]),
-        (r"torchvision:fcos_resnet50_fpn:C:\w.pth", ["fcos_resnet50_fpn", r"C:\w.pth"]),
-        ("builtin@224", []),
-    ],
-)
-def test_detectors_on_windows_drives(spec: str, parts: list[str]) -> None:
-    assert parse_spec(spec).parts == parts
-
-
 def test_specs_are_taken_apart() -> None:
     parsed = parse_spec("darknet:C@t.cfg:b.weights@96x64,letterbox,person=tall pedestrian")
     assert (parsed.family, parsed.what, parsed.input_size) == ("darknet", "C@t.cfg:b.weights", (96, 64))

@@ -128,15 +128,3 @@ def test_no_rate_stands_without_a_record(page: str) -> None:
 def test_addresses_stay_out_of_the_pages() -> None:
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
     assert not [page for page in pages if "<!--" in page.read_text("utf-8")]
-
-
-def test_a_stale_figure_is_found(tmp_path: Path) -> None:
-    of_json, of_csv = tmp_path / "a.json", tmp_path / "a.csv"
-    of_json.write_text('{"rows": [{"name": "x", "share": 0.937}]}')
-    of_csv.write_text('study,a,c\nx,"1,5",0.2\nx,2,0.937\n')
-    for words, record, place, stale in (
-        ("94 %", of_json, "rows/x/share", "93 %"),
-        ("0.94", of_csv, "x | 2 > c", "0.93"),
-        ("20 %", of_csv, "x | 1,5 > c", "0.93"),
-    ):
-        assert agrees(words, record, place) and not agrees(stale, record, place)

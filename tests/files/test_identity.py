@@ -49,16 +49,6 @@ def test_whatever_an_image_depends_on_is_in_the_bodies_identity(part: str) -> No
     assert dataclasses.replace(ours, **{part: other}).identity != ours.identity
 
 
-def test_names_and_memory_do_not_count_in_the_bodies_identity() -> None:
-    ours = bodies()
-    held = {key: np.asfortranarray(getattr(ours, key)) for key in ("vertices", "face_colors", "triangles", "uv")}
-    wide = {"vertices": held["vertices"].astype(">f8"), "triangle_face": ours.triangle_face.astype(np.uint64)}
-    for other in (bodies(**held), bodies(**wide), bodies(name="other", names=("a", "b")), ours.select_poses([0, 1])):
-        assert other.identity == ours.identity
-    assert ours.select_poses([1, 0]).identity != ours.identity
-    assert pickle.loads(pickle.dumps(ours)).identity == ours.identity
-
-
 def test_arrays_of_bodies_cannot_be_written_to_and_nobody_elses_memory_is_kept_or_frozen() -> None:
     vertices = bodies().vertices.copy()
     ours = bodies(vertices=vertices)

@@ -95,20 +95,6 @@ def test_many_processes_may_meet_at_a_cold_cache(tmp_path: Path) -> None:
     assert len({place for place, _ in answers}) == 1 and not any(said for _, said in answers)
 
 
-def test_another_process_that_was_quicker_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path))
-    write_run = zoo.Entry.write_run
-
-    def slower(found: zoo.Entry, run: Path) -> Path:
-        write_run(found, run)  # the other process's
-        return write_run(found, run)
-
-    monkeypatch.setattr(zoo.Entry, "write_run", slower)
-    zoo._run_of.cache_clear()
-    assert (zoo.run_path("zoo:builtin-sample") / "colors.npy").exists()
-    zoo._run_of.cache_clear()
-
-
 def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch, caplog) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "file"))

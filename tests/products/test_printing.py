@@ -99,17 +99,6 @@ def test_charts_do_not_overlap(layout: Layout) -> None:
     assert hits.mean() == pytest.approx(layout.used, abs=0.05)
 
 
-def test_cutting_lines_surround_each_chart(body: Bodies, layout: Layout) -> None:
-    for chart in range(layout.chart_count):
-        lines = outlines(layout, body, chart)
-        ends = np.round(lines.reshape(-1, 2), 9)
-        _, count = np.unique(ends, axis=0, return_counts=True)
-        assert (count % 2 == 0).all()  # closed curves
-        x, y = lines[:, 0, 0], lines[:, 0, 1]
-        enclosed = (x * lines[:, 1, 1] - y * lines[:, 1, 0]).sum() / 2
-        assert enclosed == pytest.approx(signed_areas(layout.corners[layout.chart == chart]).sum(), rel=1e-6)
-
-
 def test_every_face_finds_its_colour_in_the_picture(
     body: Bodies, logo: np.ndarray, noise: FacePattern, texture: Texture
 ) -> None:
@@ -278,13 +267,3 @@ def test_a_cloth_is_painted_as_fine_as_it_is_printed(body, logo, layout):
 def color_codes(colors: np.ndarray) -> np.ndarray:
     """One number [N] for each colour [..., 3] of 0 to 255."""
     return colors.reshape(-1, 3).astype(int) @ (65536, 256, 1)
-
-
-@pytest.mark.slow
-def test_sheets_of_a_cloth_count_its_colours(tmp_path, body, logo):
-    squares = np.float32([[0, 1, 0], [1, 1, 1], [0, 1, 0], [1, 1, 1]])
-    cloth = ClothPattern(Cover(logo, body.topology), Grid(0.1, 2, 2), squares)
-    report = print_pattern(body, cloth, tmp_path / "out", dpi=50, project=True)
-    assert (report["colors"], report["unprintable_colors"]) == (4, 2)
-    image = np.asarray(Image.open(tmp_path / "out" / "cloak.png")).reshape(-1, 3)
-    assert not (image == [0, 255, 0]).all(1).any(), "no four-colour printer mixes it"

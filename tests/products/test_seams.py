@@ -89,18 +89,6 @@ def test_marks_of_one_name_are_one_place_on_the_body():
         assert one.name == other.name and np.linalg.norm(on_body(one) - on_body(other)) < 1e-6
 
 
-def test_vertices_that_a_file_parts_at_seams_are_sewn_all_the_same():
-    body = sleeve()
-    torn = replace(
-        body,
-        vertices=body.vertices[:, body.triangles.reshape(-1)],
-        triangles=np.arange(3 * body.triangle_count, dtype=np.int32).reshape(-1, 3),
-    )
-    layouts = [lay_out(one, np.arange(one.face_count), own_pattern=True) for one in (body, torn)]
-    whole, parted = (seam_marks(layout, one) for layout, one in zip(layouts, (body, torn), strict=True))
-    assert [mark.name for mark in whole] == [mark.name for mark in parted]
-
-
 @pytest.mark.slow
 def test_an_allowance_surrounds_the_pieces_and_takes_room(tmp_path):
     body = sleeve()

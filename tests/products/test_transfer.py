@@ -71,15 +71,6 @@ def test_another_person_and_mesh(body: Bodies, shared) -> None:
 
 
 @pytest.mark.slow
-def test_front_faces_do_not_land_on_the_back(body: Bodies) -> None:
-    """However far the reach: chest and back are 20 cm apart, and face opposite ways."""
-    thin = Bodies(body.vertices * np.float32([1, 1, 0.5]), body.triangles, body.triangle_face)
-    there = transfer_logo(body, select_region(body, "chest"), thin, reach=0.25)
-    back = transfer_logo(body, select_region(body, "back"), thin, reach=0.25)
-    assert not np.intersect1d(there.face_ids, back.face_ids).size
-
-
-@pytest.mark.slow
 def test_what_the_target_lacks_is_named(body: Bodies) -> None:
     """A target without its left thigh."""
     left = body.regions["thighs"] & (body.vertices[0][body.loop_vertices.reshape(-1, 4)].mean(axis=1)[:, 0] > 0)

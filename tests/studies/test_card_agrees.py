@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import shutil
 from collections.abc import Iterator
 from html import unescape
 from pathlib import Path
@@ -11,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from cloak_core.studies.card import words
-from cloak_core.studies.card.page import write_card
 from cloak_core.studies.report.words import duration, percent
 
 TEMPLATE = Path(words.__file__).parents[1] / "report" / "templates" / "card.html"
@@ -79,13 +77,3 @@ def test_every_figure_on_the_page_is_the_cards(name: str, made: tuple[Path, dict
     page = (folder / "card.html").read_text("utf-8")
     assert not unknown(folder, page)
     assert unknown(folder, page.replace("</h1>", "</h1><p>hidden in 77 %, 1,234 images</p>")) == {"77 %", "1,234"}
-
-
-@pytest.mark.slow
-def test_another_figure_in_the_card_is_another_on_the_page(made: tuple[Path, dict, list], tmp_path: Path) -> None:
-    shutil.copytree(made[0] / "glow", tmp_path / "glow")
-    card = json.loads((tmp_path / "glow" / "card.json").read_text("utf-8"))
-    card["clean"]["recall_own"], card["white_box"][-1]["success_own"] = 0.37, 0.43
-    (tmp_path / "glow" / "card.json").write_text(json.dumps(card))
-    page = write_card(tmp_path / "glow").read_text("utf-8")
-    assert not unknown(tmp_path / "glow", page) and {"37 %", "43 %"} <= figures(page)[0]

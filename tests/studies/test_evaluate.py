@@ -17,7 +17,6 @@ from cloak_core.core.logo import Logo, make_logo, select_region
 from cloak_core.core.pattern import Pattern
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.patterns.cloth import ClothPattern
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
@@ -66,10 +65,6 @@ def in_green(logo: Logo) -> FacePattern:
     return FacePattern(logo, colors=np.tile(np.array([0, 1, 0], np.float32), (len(logo), 1)))
 
 
-def in_grey(logo: Logo) -> FacePattern:
-    return FacePattern(logo, colors=np.full((len(logo), 3), 0.5, np.float32))
-
-
 def show(pattern: Pattern, bodies: Bodies, rooms: int = 5, **more: object) -> Shown:
     given = {"detectors": {"spec": GreenBlind()}, "angles": ANGLES, "settings": SMALL} | more
     return show_bodies(pattern, bodies, grey_rooms(rooms), **given)
@@ -105,21 +100,6 @@ def on_screen(images: ImageSet, trial: int, pattern: Pattern) -> Tensor:
     inside = (x >= 0) & (x < 64) & (y >= 0) & (y < 64)
     shown[y[inside], x[inside]] = True
     return shown
-
-
-def test_a_cloth_is_worn_in_its_own_fineness(bodies: Bodies, logo: Logo) -> None:
-    """Squares finer than faces are seen one by one; everything else wears the faces, on the same images."""
-    checks = (np.indices((4, 4)).sum(axis=0)[..., None] % 2 * np.full(3, 255)).astype(np.uint8)
-    fine = show(ClothPattern.of_picture(logo, checks, 0.8), bodies, rooms=2)
-    coarse = show(in_grey(logo), bodies, rooms=2)
-    every = list(range(len(fine.images.trials)))
-    shown, means = (each.images.render(every, each.patterns["logo"]).clone() for each in (fine, coarse))
-    apart = (shown - means).abs().amax(1)
-    assert apart.max() > 0.3, "dark and light squares, where the faces' mean is grey"
-    assert not apart[0][~on_screen(fine.images, 0, fine.patterns["logo"])].any(), "nothing but the cloth changes"
-    for control in ("clothing", "grey", "random"):
-        other = coarse.images.render(every, coarse.patterns[control]).clone()
-        torch.testing.assert_close(fine.images.render(every, fine.patterns[control]), other, rtol=0, atol=1e-5)
 
 
 def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> None:

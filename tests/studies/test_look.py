@@ -62,16 +62,6 @@ def test_boxes_lie_where_the_camera_sees_the_body(box):
     assert Image.open(record["pictures"]["clothing"]).size == (60, 40)
 
 
-def test_with_colours_both_are_told_and_new_colours_are_read_anew(box, tmp_path):
-    worn = box | {"logo": str(tmp_path / "logo.npy"), "colors": str(tmp_path / "colors.npy")}
-    looker = Looker({"red": SeesRed()})
-    seen = looker.look(Look.of(worn))["detectors"]["red"]
-    assert seen["clothing"]["max_person"] == pytest.approx(0.8)
-    assert seen["cloak"] == {"max_person": 0, "boxes": []}
-    write_colors(tmp_path / "colors.npy", np.float32([RED, RED]))
-    assert looker.look(Look.of(worn))["detectors"]["red"]["cloak"]["max_person"] == pytest.approx(0.8)
-
-
 def test_a_runs_cloth_is_worn_as_fine_as_it_is_printed(box, tmp_path):
     """Left half red, right half green, 1 m wide: on either of the wall's triangles, whose mean is neither."""
     halves = np.uint8([[[230, 25, 25], [0, 255, 0]]])

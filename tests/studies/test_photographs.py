@@ -240,3 +240,18 @@ def test_a_video_that_breaks_off_is_left_out_whole(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(videos, "read_frames", broken)
     told = see(tmp_path)
     assert told["skipped"] == ["with/2.mp4: breaks off"] and told["pictures"] == 2 and told["with"]["n_all"] == 1
+
+
+def test_large_pictures_are_reduced_and_boxes_with_them(tmp_path: Path) -> None:
+    far = (100, 100, 300, 500)
+    for side, color in (("with", GREEN), ("without", BLUE)):
+        paint(tmp_path / side / "1.png", (color, far), size=(800, 600))
+    (tmp_path / "boxes.csv").write_text("file,x1,y1,x2,y2\nwith/1.png,100,100,300,500\nwithout/1.png,100,100,300,500\n")
+    told = judge(
+        tmp_path,
+        {"painted": Painted()},
+        JudgeSettings(resamples=100, longest=80),
+        boxes=tmp_path / "boxes.csv",
+        out=tmp_path / "judge",
+    )
+    assert told["with"]["success"] == 1 and told["without"]["detected"] == 1

@@ -1,6 +1,5 @@
 """Cloaks judged by a detector that training left out: families, ablations, and how cells become a table."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from cloak_core.core.logo import chest_thighs
 from cloak_core.core.run_config import read_config
 from cloak_core.core.settings import make_settings, merge
 from cloak_core.files.errors import InputError, Stopped
-from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.people import People, load_people
@@ -89,23 +87,6 @@ def test_people_in_photographs_are_trained_on_and_others_judge(tmp_path):
     # Other people are another training, and other images.
     matrix(tmp_path / "m", (kept, seen), judges=("yolo:a",), cameras=PHOTOGRAPHS).fill(["recipe"])
     assert len(list((tmp_path / "m" / "evaluations").iterdir())) == 2
-
-
-@pytest.mark.slow
-def test_detectors_that_share_a_short_name_have_a_cell_each(tmp_path):
-    out = tmp_path / "m"
-    specs = {"python:glow.py:red": Glow("red", 0), "python:glow.py:green": Glow("green", 1)}
-    judges = tuple(specs)
-    base = matrix(out, judges=judges)
-    split = dataclasses.replace(base.store.split, detectors=base.store.split.detectors | specs)
-    store = RunStore(split, base.store.options)
-    dataclasses.replace(base, store=store, family=families(store.specs)).fill(["best"])
-    assert [cell["judged"] for cell in gather(out)] == sorted(judges)
-    # Where an earlier version named the file without the hash, what was made since counts.
-    (earlier,) = [cell for cell in gather(out) if cell["judged"] == judges[0]]
-    write_json(out / "cells" / "best--python-glow.json", earlier | {"success": 2.0})
-    assert [cell["judged"] for cell in gather(out)] == sorted(judges)
-    assert all(cell["success"] <= 1 for cell in gather(out))
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import csv
 import json
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,22 +11,18 @@ from PIL import Image
 
 from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.core.detector.protocol import Detections
-from cloak_core.core.evaluation.measure import measure
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.linear import SparseMap
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
-from cloak_core.patterns.controls import OwnClothing, controls
-from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.sources.photographs.views import logo_positions
-from cloak_core.studies.imagery import people_images
-from cloak_core.studies.opening import clothes_cover, open_pattern
+from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.wearing.widths import WIDTHS
 from cloak_core.zoo.entry import entry
-from tests.core.fakes import RedDetector, box_of
+from tests.core.fakes import RedDetector
 from tests.schemas import validate
 from tests.sources.photographs.made_people import write_people
 
@@ -83,18 +78,6 @@ def test_a_red_cloth_hides_and_controls_do_not(people, red, tmp_path):
     )
 
 
-def test_people_in_photographs_are_images_like_any_other(people):
-    images = people_images(fit_people(people), load_backgrounds("procedural:test:2"), SMALL)
-    patterns = controls(("clothing", "grey"), OwnClothing(clothes_cover()))
-    for view in images.views([0, 1], patterns["grey"]):
-        assert np.allclose(box_of(view.mask), view.box, atol=2)
-    results = measure(images, patterns, {"body": BodyDetector()}, (0, 1))
-    rows = results.rows("body", "grey")
-    assert rows["body"].tolist() == [person.name for person in people.people] and rows["angle"].isna().all()
-    assert rows["photograph"].tolist() == [person.photograph for person in people.people]
-    assert (rows["clean"] == results.scores("body", "clothing")).all() and (rows["score"] == rows["score_on"]).all()
-
-
 def worn(spec, fit):
     """Which colours each pixel of a photograph wears, and the colours that it shows."""
     pattern = open_pattern(str(spec))[0]
@@ -118,16 +101,6 @@ def test_a_cloth_repeats_every_so_many_metres(people, tmp_path):
     # On the body at rest a stripe is 0.2 m high, wherever it lies.
     height = np.floor(-fit.rest[:, 1] / 0.2).astype(int) % 2 == 0
     assert ((colors[:, 0] > 0.5) == height)[shown.row_sums().numpy() > 0.5].mean() > 0.93
-
-
-def test_own_clothes_come_back_from_the_faces_much_as_they_were(people):
-    images = people_images(fit_people(people)[:1], load_backgrounds("procedural:test:1"), SMALL)
-    patterns = controls(("clothing", "grey", "resampled"), OwnClothing(clothes_cover())).values()
-    as_is, grey, own = (image.clone() for image in images.compose([0], list(patterns)))
-    assert (own - as_is).abs().mean() < 0.2 * (grey - as_is).abs().mean()
-    # A photograph shows own clothing without any face laid onto it.
-    one = replace(clothes_cover(), face_ids=clothes_cover().face_ids[:1])
-    assert torch.equal(images.render([0], OwnClothing(one)), as_is)
 
 
 def test_zoo_entries_of_every_known_topology_are_worn():

@@ -7,17 +7,14 @@ import pytest
 import torch
 
 from cloak_core.core.coloring import Coloring
-from cloak_core.core.logo import make_logo
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.settings import PRESETS, make_settings
 from cloak_core.core.technique import Techniques
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
-from cloak_core.patterns.groups import GroupPattern
 from cloak_core.techniques.inks import FREE_UNTIL, HARD_FROM, Inks, assigned, far_apart
 from cloak_core.techniques.profile import Photographed
-from tests.core.fakes import box_bodies
 from tests.core.test_training import run
 
 GREY = torch.full((6, 3), 0.5)
@@ -70,19 +67,6 @@ def test_every_optimiser_finds_the_two_colours_that_are_wanted(optimizer, gamut)
     torch.testing.assert_close(colors.finished(), wanted, atol=0.15, rtol=0)
 
 
-def test_an_ink_moves_as_its_patches_do():
-    inks = Inks(2)
-    coloring = Coloring(Techniques([inks]))
-    values = coloring.begin(torch.rand(6, 3, generator=torch.Generator().manual_seed(0))).requires_grad_()
-    inks.progress = 1.0
-    colors = coloring(values)
-    colors.sum().backward()
-    share = 2 / 6
-    members = torch.tensor([(colors == ink).all(1).sum() for ink in colors.unique(dim=0)]).sort().values
-    assert torch.equal(values.grad[:6], torch.ones(6, 3))
-    torch.testing.assert_close(values.grad[6:, 0].sort().values, share * members.float())
-
-
 def test_inks_of_a_palette_are_its_colours_and_the_useful_ones_are_chosen():
     random = np.random.default_rng(0)
     palette = torch.from_numpy(random.random((20, 3)).astype(np.float32))
@@ -113,16 +97,6 @@ def test_inks_begin_as_clusters_of_the_free_colours():
     begun = grey.clone()
     coloring.reach(4, 13, grey)
     assert torch.equal(begun, grey)
-
-
-def test_patches_share_a_colour_and_begin_as_their_mean():
-    first = torch.rand(6, 3, generator=torch.Generator().manual_seed(0))
-    bodies = box_bodies()
-    logo = make_logo(bodies, np.arange(6))
-    pattern = Coloring(pattern=GroupPattern(logo, bodies, group=np.array([0, 0, 1, 2, 2, 2])))
-    values = pattern.begin(first)
-    torch.testing.assert_close(values[2], first[3:].mean(0))
-    assert torch.equal(pattern(values), values[[0, 0, 1, 2, 2, 2]])
 
 
 def test_colours_are_those_that_are_photographed_and_their_gradient_is_right():

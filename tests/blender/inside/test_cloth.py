@@ -107,17 +107,6 @@ def test_the_cloth_is_saved_with_the_file_and_comes_off_after(clothed, tmp_path)
     assert leftovers() == ([], [], [])
 
 
-def test_a_copy_keeps_the_cloth_that_the_original_takes_off(clothed):
-    obj, _, _ = clothed
-    copy = obj.copy()
-    copy.data = obj.data.copy()
-    bpy.context.collection.objects.link(copy)
-    colors.undress(obj)
-    assert colors.worn_cloth(copy.data)[0] is not None and colors.worn_cloth(obj.data)[0] is None
-    colors.undress(copy)
-    assert leftovers() == ([], [], [])
-
-
 def test_live_colours_show_the_cloth_as_it_is_now(tmp_path):
     obj = make_egg()
     run = cloth_run(tmp_path, obj, np.arange(50), random_squares())

@@ -52,24 +52,6 @@ def test_every_family_is_known_by_its_suffix(ready, files):
         train_options(settings)
 
 
-def test_adding_and_removing_detectors_are_steps_of_undo(ready, files):
-    """Or the next Ctrl Z, of whatever, would let Start train against another detector."""
-    settings = lambda: bpy.context.scene.cloak  # undo makes new ones
-    bpy.ops.ed.undo_push(message="start")
-    folder, name = os.path.split(files[".onnx"])
-    bpy.ops.cloak.detector_add("EXEC_DEFAULT", True, directory=folder, files=[{"name": name}])
-    bpy.data.objects["Body"].location.x = 1
-    bpy.ops.ed.undo_push(message="move")
-    bpy.ops.ed.undo()
-    assert detectors.trained_against(settings()) == (f"onnx:{files['.onnx']}",)
-    bpy.ops.cloak.detector_add_named("EXEC_DEFAULT", True, spec="torchvision:ssd")
-    bpy.ops.cloak.detector_remove("EXEC_DEFAULT", True)
-    bpy.ops.ed.undo()
-    assert len(settings().detectors) == 2
-    bpy.ops.ed.undo()
-    assert len(settings().detectors) == 1
-
-
 def test_what_the_check_found_stands_in_the_list(ready, files, monkeypatch):
     settings = bpy.context.scene.cloak
     add(files[".onnx"])

@@ -12,8 +12,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from cloak.files.errors import InputError
 from cloak.result import eye, viewpoints
 from cloak.session import session
-from cloak.trainer import jobs
-from conftest import folder_of, run_job
+from conftest import folder_of
 from made import add_camera
 from mathutils import Matrix, Vector
 
@@ -31,17 +30,6 @@ def test_a_viewpoint_stands_where_the_camera_does(azimuth, elevation, distance):
     assert math.isclose(found.distance, distance, rel_tol=1e-5)
     assert np.allclose(found.pivot, (3, 0.9, -1), atol=1e-5)  # y up, facing +z
     assert found.is_like(found.sized(100)) and not found.is_like(viewpoints.replace(found, azimuth=azimuth + 1.0))
-
-
-def test_what_no_camera_of_the_trainer_can_see_is_refused():
-    upright = Matrix.Translation((0, -2, 0.9)) @ Matrix.Rotation(math.pi / 2, 4, "X")
-    for matrix, words in (
-        (upright @ Matrix.Rotation(0.2, 4, "Z"), "rolled"),
-        (upright @ Matrix.Rotation(math.pi, 4, "Z"), "rolled"),
-        (upright @ Matrix.Rotation(math.pi, 4, "Y"), "behind the camera"),
-    ):
-        with pytest.raises(InputError, match=words):
-            viewpoints.viewpoint(matrix, 50.0, 400, 300, Vector((0, 0, 0.9)))
 
 
 def seen_at(view: viewpoints.Viewpoint, point: tuple) -> tuple[float, float]:
@@ -111,30 +99,6 @@ def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
     box = eye.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
     assert np.allclose(box, (100, 50, 200, 150))
     assert session.job is None  # it is no job: a training may run beside it
-
-
-def test_the_eye_looks_before_while_and_after_a_training_runs(ready, monkeypatch):
-    monkeypatch.setenv("CLOAK_STUB", "slow")
-    bpy.context.scene.cloak.judging.eye_from = "CAMERA"
-    add_camera((0, -3, 0.9))
-    bpy.ops.cloak.eye()
-    try:
-        watch(lambda: session.eye.seen is not None)
-        assert list(session.eye.seen.glances["builtin"]) == ["clothing"]
-        bpy.ops.cloak.train_start()
-
-        def sees_the_cloak() -> bool:
-            jobs.tick()
-            return "cloak" in session.eye.seen.glances["builtin"]
-
-        watch(sees_the_cloak)
-        assert session.job.active  # while it is being trained
-        assert run_job().state == "done"
-        told = asked()
-        watch(lambda: not session.eye.waiting)
-        assert told["colors"] == str(folder_of(ready) / "colors.npy")
-    finally:
-        eye.close_eye()
 
 
 def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye):

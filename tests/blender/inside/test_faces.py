@@ -118,22 +118,6 @@ def test_a_foreign_face_list_is_refused_with_both_hashes(tmp_path):
 # --- heat map --------------------------------------------------------------------------------------------------------
 
 
-def test_the_outline_runs_around_the_logo_and_not_through_it():
-    obj = make_grid(200)
-    middle = centers(obj)
-    mask = (abs(middle[:, 0]) < 0.5) & (abs(middle[:, 2] - 1) < 0.5)
-    ends = overlay.outline_edges(obj, mask).reshape(-1, 2, 3)
-    edges: dict = {}
-    for polygon in np.flatnonzero(mask):
-        for key in obj.data.polygons[polygon].edge_keys:
-            edges[key] = edges.get(key, 0) + 1
-    around = [key for key, count in edges.items() if count == 1]
-    places = np.array([[obj.data.vertices[v].co for v in key] for key in around]).mean(1)
-    lift = np.linalg.norm(ends.mean(1)[:, None] - places, axis=2).min(1)  # to the nearest of them
-    assert len(ends) == len(around) > 8 and (lift < 0.003 * max(obj.dimensions)).all() and (lift > 0).all()
-    assert len(overlay.outline_edges(obj, np.zeros_like(mask))) == 0
-
-
 def test_heatmap_and_the_logo_taken_from_it(stub):
     from conftest import run_job
 

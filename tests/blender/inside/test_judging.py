@@ -9,10 +9,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak.blender.mesh_arrays import topology
 from cloak.exchange.colors import write_colors
 from cloak.result import evaluations, outputs, reasons, ring
-from cloak.result.evaluations import Sector
 from cloak.session import session
 from cloak.training import run_list, runs
 from conftest import folder_of, run_job, wait_for
@@ -72,20 +70,6 @@ def test_a_sample_bodys_run_is_judged_on_those_kept_back(dressed):
     assert not evaluations.kept_back(run)
 
 
-def test_a_training_on_the_sample_body_says_what_it_was_made_from(ready, monkeypatch):
-    from cloak.body import objects as body
-
-    bpy.context.scene.cloak.steps = 2
-    ready.cloak.made_from = f"sample:train|{topology(ready)}"
-    bpy.ops.cloak.train_start()
-    run_job()
-    assert "--made-from=sample:train" in runs.remembered_options(folder_of(ready))
-    body.subdivide(ready)
-    bpy.ops.cloak.train_start()
-    run_job()
-    assert not [word for word in runs.remembered_options(folder_of(ready)) if word.startswith("--made-from")]
-
-
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"detectors": 3}', '{"detectors": {"a": {"by_angle": {"x": {}}}}}'])
 def test_an_evaluation_that_cannot_be_read_is_none(dressed, text):
     (folder_of(dressed) / "evaluation").mkdir()
@@ -94,22 +78,6 @@ def test_an_evaluation_that_cannot_be_read_is_none(dressed, text):
 
 
 # --- the ring --------------------------------------------------------------------------------------------------------
-
-
-def sector(azimuth: float, cloak: float = 1.0, clothing: float | None = None) -> Sector:
-    return Sector(azimuth, cloak, clothing, 10)
-
-
-def test_the_ring_has_the_cloak_outside_and_stands_where_cameras_stood():
-    places, colors = ring.ring_triangles([sector(0, 1.0, 0.0), sector(90, 0.0, 1.0)])
-    radius, front = np.linalg.norm(places, axis=1), places[:, 1] < -0.5
-    outside = radius > ring.MIDDLE + 1e-6
-    blue = colors[:, 2] > colors[:, 0]
-    assert blue[front & outside].all() and not blue[front & (radius < ring.MIDDLE - 0.01)].any()
-    left = places[:, 0] > 0.5  # the trainer's +x is Blender's
-    assert not blue[left & outside].any() and blue[left & (radius < ring.MIDDLE - 0.01)].all()
-    assert radius.min() > ring.INNER - 0.01 and radius.max() <= ring.OUTER + 1e-6
-    assert len(ring.ring_triangles([])[0]) == 0
 
 
 def test_the_ring_is_drawn_for_the_run_that_the_body_wears_and_can_be_hidden(dressed):

@@ -6,7 +6,6 @@ import pytest
 from cloak.blender import colors, faces, marks
 from cloak.body import objects as body
 from cloak.logo.operators import show_heat
-from cloak.session import session
 from cloak.trainer import jobs
 from cloak.trainer.jobs import Job
 from cloak.training import runs
@@ -151,21 +150,6 @@ def test_a_defect_in_one_job_is_shown_and_the_rest_goes_on(tmp_path, stub):
     assert (first.state, second.state, third.state) == ("failed", "done", "failed")
     assert "a defect of the add-on (KeyError" in first.message and str(first.log) in first.message
     assert "Traceback" in first.log.read_text()
-
-
-def test_a_defect_closes_the_eye_and_says_so(monkeypatch):
-    from cloak.result import eye
-
-    class Broken:
-        def tick(self, context: object) -> None:
-            broken(None)
-
-        def close(self) -> None:
-            pass
-
-    session.eye = Broken()
-    assert eye.tick() is None
-    assert session.eye is None and "a defect" in session.eye_closed_because
 
 
 def test_subdividing_leaves_a_users_layers_of_our_helpers_names(tmp_path):

@@ -131,25 +131,6 @@ def test_trained_colours_are_seen_where_they_were_trained(add, tmp_path):
     assert worn.any() and np.allclose(shown.reshape(-1, 4)[worn, :3], expected, atol=1e-5)
 
 
-def test_faces_that_come_from_nowhere_count_behind_the_mesh(tmp_path):
-    """Geometry Nodes that join a hat to the body: the hat is part of the picture, not of any logo."""
-    obj = make_egg(10)
-    own = len(obj.data.polygons)
-    faces.new_logo(obj, "all", np.ones(own, bool))
-    tree = nodes(obj).node_group
-    join, hat = tree.nodes.new("GeometryNodeJoinGeometry"), tree.nodes.new("GeometryNodeMeshCube")
-    entry, end = (next(n for n in tree.nodes if n.bl_idname == name) for name in ("NodeGroupInput", "NodeGroupOutput"))
-    tree.links.clear()
-    for source in (entry.outputs[0], hat.outputs[0]):
-        tree.links.new(source, join.inputs[0])
-    tree.links.new(join.outputs[0], end.inputs[0])
-    bpy.context.view_layer.update()
-    done = scene_export.export(bpy.context, obj, "all", NOW, tmp_path / "input")
-    bodies = read_scene(done.scene)
-    assert bodies.face_count == own + 6
-    assert np.array_equal(read_face_list(done.face_list, bodies).ids, np.arange(own))
-
-
 def test_faces_that_a_modifier_takes_away_are_not_trained(tmp_path):
     obj = make_egg(10)
     mask = centers(obj)[:, 1] < 0

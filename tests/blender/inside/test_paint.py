@@ -1,13 +1,10 @@
 """The brush: strokes as lists of places, in both modes; and the surface that it asks."""
 
-from types import SimpleNamespace
-
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, faces
+from cloak.blender import faces
 from cloak.blender.evaluated import read_surface
-from cloak.logo import overlay
 from made import add_ngons, centers, make_egg, set_mode, stroke
 from mathutils import Matrix, Vector
 
@@ -92,19 +89,6 @@ def test_hidden_faces_and_posed_bodies():
     assert len(painted(obj)) > 10
 
 
-def test_a_subdivided_body_is_painted_by_the_faces_its_own_become():
-    obj = make_egg(12)
-    obj.modifiers.new("Subdivision", "SUBSURF").levels = 2
-    bpy.context.view_layer.update()
-    paint((on_egg(obj, 0.1, 0.95), 0.12))
-    distance = np.linalg.norm(centers(obj)[painted(obj)] - FRONT, axis=1)
-    assert 0 < len(distance) < len(obj.data.polygons) / 8 and distance.max() < 0.3
-    obj.modifiers.new("Remesh", "REMESH")
-    bpy.context.view_layer.update()
-    with pytest.raises(RuntimeError, match="Remesh"):
-        paint((FRONT, 0.12))
-
-
 def test_refusals():
     obj = make_egg()
     with pytest.raises(RuntimeError, match="has no logo"):
@@ -140,26 +124,6 @@ def test_rays_meet_what_blender_says_they_meet():
             assert ngon or np.allclose(hits[0], obj.matrix_world @ place, atol=1e-3)
             assert ngon or surface.around(hits[0], 0.0).tolist() == [face]
     assert 10 < met < 60
-
-
-def test_a_logo_is_seen_while_it_is_painted_under_its_cloak_too(dressed, monkeypatch):
-    faces.new_logo(dressed, "chest", np.arange(len(dressed.data.polygons)) < 9)
-    drawn, tool = [], SimpleNamespace(idname="builtin.select")
-    for kept, name in ((overlay._outline, "outline"), (overlay._tint, "tint")):
-        monkeypatch.setattr(kept, "draw", lambda *_, name=name: drawn.append(name))
-    view = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True), shading=SimpleNamespace(type="MATERIAL"))
-    tools = SimpleNamespace(from_space_view3d_mode=lambda mode, create: tool)
-    context = SimpleNamespace(object=dressed, mode="OBJECT", scene=bpy.context.scene, space_data=view)
-    context.workspace = SimpleNamespace(tools=tools)
-    monkeypatch.setattr(overlay, "bpy", SimpleNamespace(context=context, types=bpy.types))
-    overlay._draw()
-    assert drawn == [], "a tint would falsify the trained colours"
-    tool.idname = overlay.PAINT
-    overlay._draw()
-    assert drawn == ["outline"]
-    colors.undress(dressed)
-    overlay._draw()
-    assert drawn == ["outline", "tint"]
 
 
 # --- quick on large meshes, as the plain way is ----------------------------------------------------------------------

@@ -108,15 +108,3 @@ def test_a_cloak_that_failed_is_said_to_have_failed(tmp_path, scores, holds, wor
     (verdict,) = render_check.verdicts(plan, ["builtin"], [answer(score) for score in scores])
     assert verdict.holds == holds and verdict.describe().startswith(words)
     assert render_check.last_verdicts(tmp_path) == (verdict,)
-
-
-def test_each_detector_judges_by_its_own_threshold(tmp_path):
-    plan = render_check.Plan("Body", tmp_path / "render check", (0, 5))
-    plan.folder.mkdir()
-    scores = (0.1, 0.3, 0.9, 0.9, 0.1, 0.3, 0.9, 0.9)
-    answers = [answer(score, 0.5 if number < 4 else 0.25) for number, score in enumerate(scores)]
-    found = render_check.verdicts(plan, ["builtin", "onnx:/a/b.onnx@conf=0.25"], answers)
-    assert [verdict.holds for verdict in found] == [True, False]
-    told = render_check.describe_all(found)
-    assert told.startswith("Holds against 1 of 2 detectors. Worst, onnx:b.onnx@conf=0.25: The cloak holds in 1 of 2")
-    assert render_check.last_verdicts(tmp_path) == tuple(found)

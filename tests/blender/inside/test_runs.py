@@ -261,22 +261,6 @@ def test_a_moved_project_finds_its_runs_and_files(ready, monkeypatch, tmp_path):
     assert run_job().state == "done" and red_faces(obj) == LOGO_FACES
 
 
-def test_save_as_into_another_folder_keeps_what_paths_mean(ready, tmp_path):
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "one/body.blend"))
-    ready.cloak.run, bpy.context.scene.cloak.backgrounds = "//run", "//photos"
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two/copy.blend"), copy=True)
-    assert ready.cloak.run == "//run"
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two/body.blend"))
-    assert folder_of(ready) == tmp_path / "one/run"
-    for file in ("copy.blend", "body.blend"):
-        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "two" / file))
-        assert folder_of(bpy.data.objects["Body"]) == tmp_path / "one/run"
-        assert bpy.context.scene.cloak.backgrounds == str(tmp_path / "one/photos")
-    assert make_egg(name="New").cloak.run == ""
-
-
 def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_trainer):
     code = (
         "import sys; from pathlib import Path; from cloak_core.files.locks import lock\n"

@@ -1,22 +1,19 @@
 """Nothing stale: a run is found again by what it is, one run is worn, and what is worn is judged."""
 
-import os
-import time
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, faces
+from cloak.blender import colors
 from cloak.exchange.colors import write_colors
 from cloak.result.reasons import judged_reason, result_reason
 from cloak.session import session
 from cloak.trainer import jobs
-from cloak.training import run_list, runs
-from cloak.training.operators import run_reason
+from cloak.training import runs
 from conftest import LOGO_FACES, folder_of, red_faces, run_job, wait_for
-from made import make_egg, set_mode
-from test_runs import choose, listed
+from made import set_mode
+from test_runs import choose
 
 
 @pytest.fixture
@@ -111,22 +108,3 @@ def test_a_training_does_not_paint_over_another_run_that_was_chosen(ready, monke
     assert color_of(ready) == [0, 1, 0] and "wears another run" in session.job.notice
     job = cancel()
     assert color_of(ready) == [0, 1, 0] and "'Body' wears another run" in job.message
-
-
-def test_rows_keep_their_places_and_attach_finds_its_body(training, monkeypatch):
-    jobs.shut_down()  # asks it to end; what it did last must not move its row
-    wait_for(lambda: not run_list.is_running(training))
-    body = bpy.data.objects["Body"]
-    time.sleep(0.02)
-    monkeypatch.setenv("CLOAK_STUB", "")
-    bpy.context.scene.cloak.steps = 3
-    bpy.ops.cloak.train_start()
-    assert run_job().state == "done"
-    order = list(listed())
-    os.utime(training / "events.jsonl")
-    assert list(listed()) == order
-    other = make_egg(6, name="Another")
-    faces.new_logo(other, "x", np.ones(len(other.data.polygons), bool))
-    assert bpy.context.object == other and runs.body_of(training, runs.trained_faces(training)[1]) == body
-    choose(training.name)
-    assert "is not being trained" in run_reason(bpy.context, "followed")

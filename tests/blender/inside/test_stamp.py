@@ -5,27 +5,9 @@ import numpy as np
 import pytest
 from cloak.blender import faces
 from cloak.blender.evaluated import read_surface
-from cloak.files.errors import InputError
 from cloak.logo import stamp
 from made import centers, make_egg, make_grid, set_mode
 from mathutils import Matrix
-
-
-def test_a_picture_gives_its_dark_opaque_pixels():
-    image = bpy.data.images.new("picture", 4, 2, alpha=True)
-    pixels = np.ones((2, 4, 4), np.float32)
-    pixels[0, 0, :3] = 0  # bottom left: black
-    pixels[1, 3] = (0, 0, 0, 0)  # top right: black, but transparent
-    image.pixels.foreach_set(pixels.ravel())
-    ink = stamp.image_stamp(image)
-    assert ink.tolist() == [[False] * 4, [True, False, False, False]]
-    image.pixels.foreach_set(np.ones(32, np.float32))
-    with pytest.raises(InputError, match="no dark, opaque pixels"):
-        stamp.image_stamp(image)
-    with pytest.raises(InputError, match="No picture chosen"):
-        stamp.image_stamp(None)
-    with pytest.raises(InputError, match="text is empty"):
-        stamp.text_stamp(" ")
 
 
 def test_a_letter_on_a_wall_reads_the_right_way_round():

@@ -57,19 +57,6 @@ def test_the_program_is_found_where_installers_put_it_and_not_started(nowhere, p
     assert cloak_command(str(made), "x") == [str(made), "x", "--json"] and not (tmp_path / "started").exists()
 
 
-def test_what_is_chosen_comes_first(nowhere, tmp_path, monkeypatch):
-    make_program(nowhere / ".local/bin/cloak")
-    monkeypatch.setenv("CLOAK_PROGRAM", str(make_program(tmp_path / "named")))
-    assert program.find_program() == str(tmp_path / "named")
-    made = make_program(tmp_path / "checkout/.venv/bin/cloak")
-    assert program.find_program(str(tmp_path / "checkout")) == program.find_program(str(made)) == str(made)
-    python = make_program(tmp_path / "host-python")
-    assert cloak_command(program.find_program(str(python)))[:3] == [str(python), "-m", "cloak_core"]
-    for chosen in ("/nowhere/cloak", str(tmp_path)):
-        with pytest.raises(InputError, match="cannot be run: choose another"):
-            program.find_program(chosen)
-
-
 def test_without_a_trainer_what_needs_one_is_not_there_and_the_rest_works(ready, nowhere):
     preferences().program = ""
     assert 'uv tool install "PATH/cloak_core-' in trainer_reason()
@@ -143,15 +130,6 @@ def test_settings_that_cannot_work_are_named(ready, tmp_path):
             assert re.search(words, train_reason(bpy.context))
         for key, value in before.items():
             setattr(settings, key, value)
-
-
-def test_files_in_a_detectors_name_become_absolute(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("a.cfg", "me@home.weights"):
-        Path(name).touch()
-    made = program.absolute_detector("darknet:a.cfg:me@home.weights@416,letterbox")
-    assert made == f"darknet:{tmp_path}/a.cfg:{tmp_path}/me@home.weights@416,letterbox"
-    assert program.absolute_detector("torchvision:ssd:none.pth") == "torchvision:ssd:none.pth"
 
 
 # --- jobs ------------------------------------------------------------------------------------------------------------

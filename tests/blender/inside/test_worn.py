@@ -3,14 +3,13 @@
 import math
 
 import bpy
-import numpy as np
 import pytest
 from cloak.blender import colors, faces
 from cloak.body import garments
 from cloak.files.errors import InputError
 from cloak.logo import overlay
 from cloak.poses import export as scene_export
-from cloak.poses.export import export_summary, poses_reason
+from cloak.poses.export import export_summary
 from cloak.poses.poses import PoseChoice
 from cloak.result.judging import check_reason
 from cloak.result.reasons import export_worn, judged_reason
@@ -93,18 +92,6 @@ def test_training_and_judging_see_the_same_pieces_or_say_which_differs(chest):
     bpy.data.objects["Coat"].cloak.left_out = True
     assert judged_reason(bpy.context) == ""
     assert scene_export.read_export(runs.input_folder(run)).faces == bodies.face_count
-
-
-def test_a_mask_that_leaves_nothing_and_a_vertex_nowhere_are_said_in_step_3(chest):
-    group = chest.vertex_groups.new(name="Nothing")
-    mask = chest.modifiers.new("Hide", "MASK")
-    mask.vertex_group = group.name
-    bpy.context.view_layer.update()
-    assert "No face of 'Body' is left by its modifiers ('Hide')" in poses_reason(bpy.context)
-    chest.modifiers.remove(mask)
-    chest.data.vertices[5].co.x = np.nan
-    bpy.context.view_layer.update()
-    assert "'Body' has 1 vertices without a place (NaN)" in poses_reason(bpy.context)
 
 
 @pytest.mark.parametrize("rigged", [False, True])

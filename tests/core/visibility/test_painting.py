@@ -1,7 +1,6 @@
 """Compiled loops against the torch operations that other devices use: the same images and gradients."""
 
 import contextlib
-import dataclasses
 
 import numpy as np
 import pytest
@@ -82,16 +81,3 @@ def test_painting_again_is_refused_to_those_who_still_need_the_images(loops: boo
     canvas.paint(colors)
     with pytest.raises(RuntimeError, match="modified"):
         loss.backward()
-
-
-def test_loops_compose_views_that_differ_only_in_size_of_the_logo_part() -> None:
-    """A view without any logo pixel among others."""
-    cache = ViewCache(sphere(), RenderSettings(samples=4))
-    camera = Camera(distance=3.0, width=WIDTH, height=HEIGHT)
-    cameras = [camera, dataclasses.replace(camera, pivot=(90.0, 0.0, 0.0)), dataclasses.replace(camera, azimuth=180.0)]
-    views = [cache.bake(0, c, LOGO[:9]) for c in cameras]
-    assert 0 in [view.map.height for view in views] and any(view.map.height for view in views)
-    colors, upstream = torch.rand(9, 3), torch.randn(3, 3, HEIGHT, WIDTH)
-    ours, theirs = (painted(views, colors, None, upstream, loops) for loops in (True, False))
-    torch.testing.assert_close(ours[0], theirs[0], rtol=0, atol=1e-6)
-    torch.testing.assert_close(ours[1], theirs[1], rtol=1e-6, atol=1e-5)

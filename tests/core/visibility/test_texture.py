@@ -1,11 +1,8 @@
 """Textures: looked up point by point when a view is built, constant ever after."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
-from bodies_made import sphere
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.paint import compose
@@ -72,31 +69,6 @@ def test_a_ramp_is_seen_as_a_ramp(samples: int | None, count: int, slant: float)
     assert np.abs(image[..., 2] - 100 / 255)[inside].max() < 0.003
     on_logo = (np.minimum(u, v) > edge) & (np.maximum(u, v) < 1 / count - edge)
     assert np.allclose(image[on_logo], 0.25, atol=1e-5), "the logo's faces override the texture"
-
-
-def test_a_texture_of_plain_cells_is_the_plain_outfit() -> None:
-    """Each face's own cell in the picture: a textured outfit renders as its plain twin does, to rounding."""
-    plain = sphere(9, 14)
-    count, side = plain.face_count, 4
-    cells = np.rint(plain.face_colors[0] * 255).astype(np.uint8)
-    picture = cells.repeat(side, axis=0)[None].repeat(side, axis=0)
-    uv = np.stack([(np.arange(count) + 0.5) / count, np.full(count, 0.5)], axis=1)
-    colors = np.stack([cells / np.float32(255), plain.face_colors[1]])
-    bodies = dataclasses.replace(
-        plain,
-        face_colors=colors,
-        uv=uv,
-        triangle_uv=np.arange(count)[:, None].repeat(3, axis=1),
-        textures={"cells": picture},
-        outfit_textures=("cells", ""),
-    )
-    camera, logo = Camera(distance=4.0, azimuth=20.0, width=60, height=50), np.arange(20, 40)
-    textured = ViewCache(bodies)
-    bare = ViewCache(dataclasses.replace(bodies, outfit_textures=()))
-    for outfit in (0, 1):
-        np.testing.assert_allclose(
-            render(textured, camera, logo, outfit), render(bare, camera, logo, outfit), atol=1e-5
-        )
 
 
 def test_polygons_and_their_subdivision_show_the_same_picture() -> None:

@@ -97,18 +97,6 @@ def test_polygons_merge_their_triangles() -> None:
     np.testing.assert_allclose(dense(view, pairs.face_count), split[:, ::2] + split[:, 1::2], atol=1e-6)
 
 
-def test_memory_is_bounded_and_the_latest_stay() -> None:
-    cache = ViewCache(sphere(), RenderSettings(samples=1, memory_bytes=150_000))
-    cameras = [dataclasses.replace(CAMERA, azimuth=float(a)) for a in range(12)]
-    first = cache.view(0, cameras[0])
-    assert cache.view(0, cameras[0]) is first
-    for camera in cameras:
-        cache.view(0, camera)
-        assert cache._kept.bytes <= 150_000
-    assert cache.view(0, cameras[0]) is not first
-    assert cache.view(0, cameras[-1]) is cache.view(0, cameras[-1])
-
-
 def test_light_never_gives_nan() -> None:
     zero, point = torch.zeros(3, 2), torch.tensor([[0.0, 0], [0, 0], [1, 0]])
     for light_position in (zero, point):

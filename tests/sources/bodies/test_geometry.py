@@ -10,7 +10,7 @@ from cloak_core.core.geometry import (
 )
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from tests.sources.bodies.solids import cube, is_closed, polygons
+from tests.sources.bodies.solids import cube, polygons
 
 
 def test_areas_normals_and_centres_of_a_cube() -> None:
@@ -19,15 +19,6 @@ def test_areas_normals_and_centres_of_a_cube() -> None:
     outwards = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
     assert np.allclose(face_normals(body), outwards)
     assert np.allclose(face_centres(body), 0.5 + outwards / 2)
-
-
-def test_closed_and_outward() -> None:
-    body = cube()
-    assert is_closed(body.triangles)
-    assert outward_parts(body).all()
-    inside_out = Bodies(body.vertices, body.triangles[:, ::-1])
-    assert is_closed(inside_out.triangles)
-    assert not outward_parts(inside_out).any()
 
 
 def test_inner_edges_against_brute_force() -> None:

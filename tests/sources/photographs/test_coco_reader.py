@@ -70,16 +70,6 @@ def test_a_field_of_another_type_is_named(sound, table: str, field: str, value: 
         load_people(path)
 
 
-def test_ids_may_be_names_of_images_and_whole_numbers_with_a_point(sound) -> None:
-    path, record = sound
-    named = copy.deepcopy(record)
-    for image, annotation in zip(named["images"], named["annotations"], strict=True):
-        image["id"] = annotation["image_id"] = image["file_name"]
-        annotation["id"] = float(annotation["id"])
-    path.write_text(json.dumps(named))
-    assert len(load_people(path)) == 2
-
-
 def test_a_box_far_from_its_landmarks_is_named(sound) -> None:
     path, record = sound
     path.write_text(json.dumps(with_value(record, ("annotations", 0, "bbox"), [5.0, 5.0, 20.0, 100.0])))

@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from cloak_core.core.batches import Batch
-from cloak_core.core.geometry import face_areas
 from cloak_core.core.images import dressed
-from cloak_core.core.logo import Cover, region_mask
+from cloak_core.core.logo import Cover
 from cloak_core.core.objective import Step, gradient_step
 from cloak_core.core.paint import blank
 from cloak_core.files.errors import InputError
@@ -20,7 +19,6 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.hardening.hardening import Hardening, Material, harden
-from cloak_core.studies.hardening.logos import JUDGED, draw_logo
 from cloak_core.studies.hardening.pictures import Pictures
 from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -89,21 +87,6 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
         harden(few, student, replace(material, people=None), tmp_path / "out", resume=True)
 
 
-@pytest.mark.long
-def test_drawn_logos_are_of_many_kinds_and_none_is_one_that_judges() -> None:
-    bodies, rng = sample_bodies("train"), np.random.default_rng(0)
-    areas = face_areas(bodies)
-    judged = [np.any([region_mask(bodies, name) for name in names], 0) for names in JUDGED]
-    shares = []
-    for _ in range(60):
-        chosen = np.isin(np.arange(bodies.face_count), draw_logo(bodies, rng))
-        shares.append(areas[chosen].sum() / areas.sum())
-        for mask in judged:
-            assert areas[chosen & mask].sum() <= 0.7 * areas[chosen | mask].sum()
-    assert 0.05 <= min(shares) and 0.7 < max(shares) <= 1
-    assert np.std(shares) > 0.05
-
-
 def test_decoys_show_the_last_cloaks_beside_patterns_that_nobody_trained(
     student: Student, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,16 +103,6 @@ def test_decoys_show_the_last_cloaks_beside_patterns_that_nobody_trained(
     again.load(pool.state())
     resumed = Pictures(again, None, student.detector)
     assert torch.equal(pictures.decoys(6).shown, resumed.decoys(6).shown)
-
-
-def test_cloths_that_repeat_are_among_the_cloaks_beside_the_same_clean_images(student: Student) -> None:
-    pool, plain = (_pool(student, cloths=share) for share in (1.0, 0.0))
-    cloak = pool.cloak(0, 0)
-    assert 0.2 <= cloak.pattern.period <= 0.55 and plain.cloak(0, 0).pattern.period is None
-    turn, other = pool.turn(0), plain.turn(0)
-    assert torch.equal(turn.clean, other.clean) and not torch.equal(turn.cloaked, other.cloaked)
-    assert cloak.face_colors().shape == (len(cloak.logo), 3)
-    assert pool.skins[0].shape == (box_bodies().face_count, 3), "faces remember what lay on them"
 
 
 def test_a_perturbation_moves_images_in_cloaks_within_its_bound_and_nothing_else(
