@@ -78,11 +78,3 @@ def test_every_command_and_option_is_completed(shell, capsys) -> None:
     assert ("-l black-box-queries " in script) if shell == "fish" else ("--black-box-queries " in script)
     if shutil.which(shell):
         subprocess.run([shutil.which(shell), "-n"], input=script, text=True, check=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("line", "same"), [("help", "--help"), ("help zoo", "zoo --help"), ("help train", "train --help")]
-)
-def test_help_is_a_command_too(line, same, capsys) -> None:
-    assert said(line, capsys) == said(same, capsys)
