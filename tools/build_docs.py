@@ -1,9 +1,10 @@
 """Build the site: `python tools/build_docs.py [FOLDER]` lays pages out in build/docs and has Zensical write site/.
 
 Pages lie there as in the repository, so that links hold in both places. The command line's page is made of the
-commands' own help, the one of mistakes by making them, the one of `--json` of docs/schemas.json, the notebook's of
-the notebook, the picture of the rooms of the directions that a test holds. A click opens a picture in full size; a
-page of wide tables has no list of headings beside it.
+commands' own help (its list of commands lies in the repository, too, and is written anew), the one of mistakes by
+making them, the one of `--json` of docs/schemas.json, the notebook's of the notebook, the picture of the rooms of the
+directions that a test holds. A click opens a picture in full size; a page of wide tables has no list of headings
+beside it.
 """
 
 from __future__ import annotations
@@ -35,9 +36,17 @@ SHIM = "https://unpkg.com/iframe-worker/shim"
 """What the theme would fetch from elsewhere, so that the search works from the disk; ours does it instead."""
 
 
+COMMANDS_LIST = ROOT / "docs" / "reference" / "commands.md"
+
+
 def main() -> int:
-    """Lay out and build; the exit code is Zensical's, which is strict: a dead link or an unknown name fails."""
+    """Write the list of commands, lay out and build.
+
+    The exit code is Zensical's, which is strict: a dead link or an unknown name fails.
+    """
     base = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else ROOT
+    if base == ROOT:
+        COMMANDS_LIST.write_text(commands_list(), "utf-8")
     lay_out(base / "build" / "docs")
     if base != ROOT:  # what Zensical reads must lie in one folder
         shutil.copy(ROOT / "mkdocs.yml", base)
@@ -106,20 +115,26 @@ def unbroken(text: str) -> str:
     return "".join(part if i % 2 else UNIT.sub("\\1\u00a0\\2", part) for i, part in enumerate(parts))
 
 
-def commands_page() -> str:
-    """Every command's help, as a terminal shows it."""
-    os.environ["COLUMNS"] = WIDTH
-    from cloak_core.cli import COMMANDS, GROUPS, load
+def commands_list() -> str:
+    """The page of commands as it lies in the repository: a line each."""
+    from cloak_core.cli import GROUPS, load
     from cloak_core.commands.help import summary
+
+    lines = ["# Command line", "", "`cloak COMMAND --help-all` lists every option; on the site it stands below."]
+    for title, group in GROUPS.items():
+        lines += ["", f"## {title}", ""]
+        lines += [f"- `{name}`: {re.split(r'[:;] ', summary(load(name).__doc__ or ''))[0]}" for name in group]
+    return "\n".join(lines) + "\n"
+
+
+def commands_page() -> str:
+    """The list, and every command's help, as a terminal shows it."""
+    os.environ["COLUMNS"] = WIDTH
+    from cloak_core.cli import COMMANDS, load
     from cloak_core.commands.parsing import parse
 
-    lines = ["# Command line", "", "What `--help-all` of each command says; it is made of the code.", ""]
-    lines += ["| command | what it does |", "|---|---|"]
-    for title, group in GROUPS.items():
-        lines.append(f"| **{title}** | |")
-        for name in group:
-            first = summary(load(name).__doc__ or "").replace("|", "\\|")
-            lines.append(f"| [`cloak {name}`](#cloak-{name.replace(' ', '-')}) | {first} |")
+    link = lambda found: f"- [{found[1]}](#cloak-{found[2].replace(' ', '-')}):"
+    lines = [re.sub(r"^- (`([\w -]+)`):", link, line) for line in commands_list().splitlines()]
     for name in COMMANDS:
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):

@@ -50,6 +50,13 @@ def test_the_reference_has_every_command_and_every_public_name(site: Path) -> No
         assert f'id="cloak_core.{name}"' in python, name
 
 
+def test_the_list_of_commands_says_what_their_help_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    build_docs = importlib.import_module("build_docs")
+    written = build_docs.COMMANDS_LIST.read_text("utf-8")
+    assert written == build_docs.commands_list(), f"run `make docs` to write {build_docs.COMMANDS_LIST.name} again"
+
+
 def test_files_that_the_guide_names_are_there() -> None:
     places = (ROOT, ROOT / "cloak_core", ROOT / "blender_addon")
     named = re.findall(r"`((?:[\w.-]+/)+[\w-]+\.\w+)`", (ROOT / "CONTRIBUTING.md").read_text("utf-8"))
