@@ -214,7 +214,7 @@ class Add(Detecting):
     """Detectors at hand, by the cards' specs: cards are held against them, too."""
 
     def run(self) -> dict:
-        from cloak_core.studies.card.board import add_cards
+        from cloak_core.studies.card.leaderboard import add_cards
 
         if not self.cards:
             raise InputError("leaderboard add: which cards? (CARDS/NAME)")
@@ -239,7 +239,7 @@ class Build(Command):
     """Folder of cards: NAME/card.json, with rows beside it."""
 
     def run(self) -> dict:
-        from cloak_core.studies.card.board import build_board
+        from cloak_core.studies.card.leaderboard import build_board
 
         files, cards = build_board(self.folder)
         return {"cards": [card["spec"] for card in cards], "files": [str(path) for path in files]}

@@ -23,7 +23,7 @@ from cloak_core.files.errors import first_line
 if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
     from cloak_core.sources.photographs.people import People
-    from cloak_core.studies.data_split import DataSplit
+    from cloak_core.studies.store import DataSplit
 
 _MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8
 """Options of mallopt(3)."""
@@ -191,7 +191,7 @@ class Splitting(Photographed):
 
     def split(self, detectors: dict[str, Detector], with_people: bool = True) -> DataSplit:
         """Open the material and split it. InputError: something cannot be opened, or is too little to split."""
-        from cloak_core.studies.data_split import open_data_split
+        from cloak_core.studies.store import open_data_split
 
         return open_data_split(
             detectors,

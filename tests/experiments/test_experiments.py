@@ -17,8 +17,7 @@ from cloak_core.experiments.runner import draw_again, experiments, measure, meas
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
 from cloak_core.studies import store, training_store
-from cloak_core.studies.data_split import DataSplit
-from cloak_core.studies.store import RunStore
+from cloak_core.studies.store import DataSplit, RunStore
 from tests.studies.made_split import Glow, make_options, make_split
 
 PAPER = ("table1", "single-angle", "wide-angle", "transfer", "tv", "distance", "shape", "resolution")

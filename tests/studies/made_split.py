@@ -10,7 +10,7 @@ from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.experiments.options import Options
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.data_split import DataSplit
+from cloak_core.studies.store import DataSplit
 
 
 class Glow(Detector):

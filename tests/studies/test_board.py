@@ -19,9 +19,8 @@ from cloak_core.core.evaluate import MEASUREMENT_VERSION
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json
 from cloak_core.studies.card import entry
-from cloak_core.studies.card.board import add_cards, build_board, check_together
 from cloak_core.studies.card.entry import read_entry
-from cloak_core.studies.card.leaderboard import write_leaderboard
+from cloak_core.studies.card.leaderboard import add_cards, build_board, check_together, write_leaderboard
 from cloak_core.studies.card.page import write_card
 from cloak_core.studies.card.protocol import SIZES, parts_of
 from tests.schemas import validate

@@ -20,8 +20,8 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies import store, training_store
 from cloak_core.studies.card import words
 from cloak_core.studies.card.assess import Assessment
-from cloak_core.studies.card.leaderboard import gather, leaderboard_row, write_leaderboard
-from cloak_core.studies.card.page import write_card, write_comparison
+from cloak_core.studies.card.leaderboard import gather, write_leaderboard
+from cloak_core.studies.card.page import leaderboard_row, write_card, write_comparison
 from cloak_core.studies.card.protocol import AREAS, QUICK, Part, nested_areas
 from cloak_core.studies.pace import Pace
 from tests.schemas import validate

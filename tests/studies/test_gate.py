@@ -94,7 +94,7 @@ def test_a_broken_bound_ends_with_1(
 def test_the_expected_card_has_the_figures_of_the_measured_one(made: tuple[Path, dict, list], tmp_path: Path) -> None:
     """In both boxes; what a detector may be renamed to, and the rest that it may not tell, are expected at most."""
     for name, white_box in (("glow", True), ("dark:net.onnx", False)):
-        card = made[1] if white_box else leaderboard.read_card(made[0] / "dark" / "card.json")
+        card = made[1] if white_box else page.read_card(made[0] / "dark" / "card.json")
         store = make_store(tmp_path, Glow(name, white_box))
         expected = Assessment(store, TINY, tmp_path / "x", ["builtin-sample"] if white_box else []).expected()
         numbers, promised = ({p for p, v in gate.flat(c) if is_number(v)} for c in (card, expected))

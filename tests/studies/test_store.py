@@ -19,8 +19,7 @@ from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.studies import store as store_module
 from cloak_core.studies import training_store
-from cloak_core.studies.data_split import DataSplit, open_data_split
-from cloak_core.studies.store import RunStore
+from cloak_core.studies.store import DataSplit, RunStore, open_data_split
 from cloak_core.studies.training_store import Training, TrainingStore
 from cloak_core.studies.trainings.training import training_config
 from tests.studies.made_split import Glow, make_options, make_split

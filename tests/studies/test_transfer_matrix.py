@@ -15,8 +15,7 @@ from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.people import People, load_people
 from cloak_core.studies import training_store
-from cloak_core.studies.data_split import DataSplit
-from cloak_core.studies.store import RunStore
+from cloak_core.studies.store import DataSplit, RunStore
 from cloak_core.studies.transfer import (
     FRONT,
     LADDER,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -24,8 +24,7 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.source import fit_wearers
-from cloak_core.studies.card.expected import expected_card
-from cloak_core.studies.card.figures import VERSIONS, attack_record, card_of, detector_facts
+from cloak_core.studies.card.figures import attack_record, card_of, detector_facts, expected_card, fixed
 from cloak_core.studies.card.page import keep_pictures
 from cloak_core.studies.card.protocol import (
     AGAINST,
@@ -36,7 +35,6 @@ from cloak_core.studies.card.protocol import (
     HEAD_CLOTH,
     HEADS,
     ROWS,
-    VERSION,
     Part,
     Size,
     keep_rows,
@@ -45,12 +43,10 @@ from cloak_core.studies.card.protocol import (
     parts_of,
 )
 from cloak_core.studies.card.words import others_strongest
-from cloak_core.studies.card.work import TRAINED, OnWork, Work
-from cloak_core.studies.data_split import people_record
 from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import CLOTHES, clothes_cover, open_pattern, run_pattern
-from cloak_core.studies.pace import Pace, measured_pace
-from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore
+from cloak_core.studies.pace import TRAINED, OnWork, Pace, Work, measured_pace
+from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore, people_record
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.studies.training_store import Trained
 from cloak_core.studies.trainings.run_record import environment
@@ -110,7 +106,7 @@ class Assessment:
 
     @cached_property
     def told(self) -> dict:
-        """What the card says itself (`schema.CARD`), but for who is left out of people, and the seconds."""
+        """What the card says itself (`entry.CARD`), but for who is left out of people, and the seconds."""
         options, bodies = self.store.options, self.split.bodies
         facts = detector_facts(self.detector)
         made = {"cloak": __version__, "command": one_line(options.command), "seed": options.seed}
@@ -167,10 +163,8 @@ class Assessment:
 
     def work(self, worn: float = 1.0) -> Work:
         """Count what is done; what an earlier call for the same has done counts, too."""
-        asked = {"size": asdict(self.size), "seed": self.store.options.seed, "protocol": VERSION}
-        asked |= {"people": self.people and people_record(self.people), "patterns": list(self.patterns)}
-        asked |= {"cover": self.logo} if self.logo else {}
-        key = sha256_record(asked | VERSIONS | {"split": self.split.record()})
+        asked = {key: value for key, value in self.told.items() if key != "made"}
+        key = sha256_record([fixed(self.size), self.store.options.seed, list(self.patterns), asked])
         return Work(self.costs(worn), self.folder / "spent.json", key, self.on_work, self.size.seeds)
 
     def seconds_left(self, pace: Pace | None = None) -> tuple[float, Pace]:

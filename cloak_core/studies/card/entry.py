@@ -6,6 +6,7 @@ Nothing else of a folder is read, no link in it is followed, and what can be com
 from __future__ import annotations
 
 import fnmatch
+import re
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -23,12 +24,12 @@ from cloak_core.core.evaluation.trials import COLUMNS, draw_trials
 from cloak_core.core.pictures import open_picture, save_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
-from cloak_core.files.reading import MAX_JSON_BYTES, read_json
+from cloak_core.files.reading import MAX_JSON_BYTES, is_number, read_json
+from cloak_core.files.shapes import FLAG, NOTHING, NUMBER, SHARE, Kind, Shape, check_shape
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.sources.photographs.fits import UNCOVERED, UNFIT
 from cloak_core.studies.card.figures import card_of, differences, fixed
-from cloak_core.studies.card.leaderboard import read_card
-from cloak_core.studies.card.page import FLAT, PAGES, SIDES, place_of
+from cloak_core.studies.card.page import FLAT, PAGES, SIDES, place_of, read_card
 from cloak_core.studies.card.protocol import (
     AGAINST,
     GREY_HEAD,
@@ -41,9 +42,8 @@ from cloak_core.studies.card.protocol import (
     keep_rows,
     parts_of,
 )
-from cloak_core.studies.card.schema import CARD, PICTURES, take
 from cloak_core.studies.report.page import MAX_PICTURE
-from cloak_core.studies.report.pictures import describe
+from cloak_core.studies.report.pictures import SAVING, describe
 from cloak_core.studies.report.words import file_name
 
 MAX_ROWS = 64 << 20
@@ -52,6 +52,90 @@ DESCRIBED = ("trial", "body", "angle", "distance", "background")
 """What pictures.json says of a picture's trial."""
 LISTED = ("card.json", "pictures.json", f"{ROWS}/*.npz", "pictures/*/*.jpg", "pictures/*/*.png", *PAGES)
 """All that a card's folder in a leaderboard holds."""
+
+# --- what a card says itself; all else in card.json is computed from its rows and its size
+#
+# Provenance (`made`, names of bodies, seconds) can be held against nothing; every other value decides what the rows
+# have to be, or has to be that of the other cards of a leaderboard.
+
+MOST_TEXT = 4096
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and len(value) <= MOST_TEXT and value.isprintable()
+
+
+TEXT = Kind("a line of text", _is_text)
+NAME = Kind("a name", lambda value: _is_text(value) and bool(re.fullmatch(r"[^/\\]+", value)))
+FILE = Kind("the name of a picture", lambda value: _is_text(value) and bool(re.fullmatch(r"[\w-]+\.(jpg|png)", value)))
+DIGEST = Kind("a SHA-256", lambda value: isinstance(value, str) and bool(re.fullmatch("[0-9a-f]{64}", value)))
+COUNT = Kind("a count", lambda value: is_number(value) and isinstance(value, int) and 0 <= value < 1 << 31)
+BOX = Kind("a box", lambda value: isinstance(value, list) and len(value) == 5 and all(map(is_number, value)))
+
+BODIES = {"name": TEXT, "poses": [TEXT], "outfits": COUNT, "faces": COUNT, "sha256": DIGEST}
+BACKGROUNDS = {"count": COUNT, "sha256": DIGEST}
+UNSEEN = {"bodies?": FLAG | NOTHING, "backgrounds?": FLAG | NOTHING}
+CARD = {
+    "spec": TEXT,
+    "size": TEXT,
+    "operating_point": SHARE,
+    "operating_point_assumed": FLAG,
+    "differentiable": FLAG,
+    "partial_gradient": TEXT,
+    "cover?": TEXT,
+    "made": dict.fromkeys(("cloak", "command", "python", "torch", "numpy", "platform"), TEXT)
+    | {"seed": COUNT, "threads": COUNT},
+    "materials": {
+        "bodies": BODIES,
+        "unseen": BODIES,
+        "backgrounds": BACKGROUNDS,
+        "unseen_backgrounds": BACKGROUNDS,
+        "detectors": {"*": DIGEST},
+        "shown_people?": {"count": COUNT, "photographs": COUNT, "sha256": DIGEST},
+    },
+    "left_patterns": [NAME],
+    "white_box": [{"area": SHARE, "faces": COUNT}],
+    "black_box": {"zoo": [{"name": NAME, "trained_against_it": FLAG, "unseen": UNSEEN, "area": SHARE}]},
+    "patterns": [{"name": NAME}],
+    "photographs?": {"left_out": {"*": COUNT}},
+    "seconds": NUMBER,
+}
+"""What card.json says itself."""
+
+SHOT = {"file": FILE, "boxes": {"*": [BOX]}, "scores": {"*": SHARE}}
+TRIAL = {"trial": COUNT, "body": TEXT, "angle": NUMBER, "distance": NUMBER, "background": TEXT}
+PICTURES = {
+    "missed": [TRIAL | {"clothing": SHOT}],
+    "alarms": [{"background": TEXT, "bare": SHOT}],
+    "hidden": {"*": [TRIAL | {"clothing": SHOT, "logo": SHOT}]},
+    "cloaks": [{"part": NAME, "front?": FILE, "back?": FILE}],
+}
+"""What pictures.json says."""
+
+
+def take(shape: Shape, record: dict, path: str) -> dict:
+    """Copy what a shape names of a record, and nothing else; null is as good as a missing value.
+
+    InputError: `path`, and the place of what is missing or of another kind.
+    """
+    told = {key: value for key, value in record.items() if value is not None}
+    check_shape(told, shape, path)
+    return _named(shape, told)
+
+
+def _named(shape: Shape, value: object) -> object:
+    """Copy what a shape names of a value that fits it."""
+    if isinstance(shape, list):
+        return [_named(shape[0], inner) for inner in value]
+    if not isinstance(shape, dict):
+        return value
+    shapes = {key.removesuffix("?"): inner for key, inner in shape.items()}
+    if "*" in shape:
+        return {key: _named(shape["*"], inner) for key, inner in value.items()}
+    return {key: _named(inner, value[key]) for key, inner in shapes.items() if key in value}
+
+
+# --- its folder
 
 
 @dataclass(frozen=True)
@@ -74,7 +158,7 @@ class Entry:
 
 
 def read_told(folder: Path) -> tuple[dict, dict, Size]:
-    """Read what a card says, what of it only itself can say (`schema.CARD`), and its size. InputError: see there."""
+    """Read what a card says, what of it only itself can say (`CARD`), and its size. InputError: see there."""
     path = _plain(folder, "card.json", most=MAX_JSON_BYTES)
     said = read_card(path)
     told = take(CARD, said, str(path))
@@ -221,8 +305,7 @@ def write_entry(entry: Entry, board: Path) -> Path:
             keep_rows(folder, part, entry.rows[part.name])
         for place, image in entry.images.items():
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
-            options = {"quality": 92, "subsampling": 0} if place.endswith(".jpg") else {"optimize": True}
-            save_picture(folder / place, image, **options)
+            save_picture(folder / place, image, **(SAVING if place.endswith(".jpg") else {"optimize": True}))
     return target
 
 

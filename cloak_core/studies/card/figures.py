@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
+import numpy as np
 import pandas as pd
 
 from cloak_core.core.detector import THRESHOLD
@@ -19,7 +20,8 @@ from cloak_core.core.evaluate import MEASUREMENT_VERSION
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.intervals import Rate, wilson
 from cloak_core.core.evaluation.precision import OVERLAPS, average_precision
-from cloak_core.core.evaluation.results import NOBODY, Results, pool
+from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, NOBODY, TRUE_BOX, Results, make_results, pool
+from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.statistics import (
     THRESHOLDS,
     digits,
@@ -34,10 +36,22 @@ from cloak_core.core.evaluation.statistics import (
     success_record,
     threshold_curve,
 )
+from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import parse_json
-from cloak_core.studies.card.protocol import AGAINST, AREAS, FORMAT, VERSION, Size, part_of_area, parts_of
-from cloak_core.studies.card.schema import inside
+from cloak_core.studies.card.protocol import (
+    AGAINST,
+    AREAS,
+    FORMAT,
+    GREY_HEAD,
+    HEADS,
+    UNTRAINED,
+    VERSION,
+    Part,
+    Size,
+    part_of_area,
+    parts_of,
+)
 from cloak_core.studies.card.words import (
     MEASURED,
     NOT_MEASURED,
@@ -71,7 +85,7 @@ def fixed(size: Size) -> dict:
 
 
 def card_of(told: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) -> dict:
-    """Make a card. told: what it says itself (`schema.CARD`); rows: by part, a table for each repetition.
+    """Make a card. told: what it says itself (`entry.CARD`); rows: by part, a table for each repetition.
 
     InputError: people in photographs do not wear the strongest of the zoo's cloaks.
     """
@@ -97,6 +111,42 @@ def card_of(told: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) ->
     if "people" in tables:
         card["photographs"] |= photograph_figures(card, tables["people"])
     return parse_json(json.dumps(card | summary(card)).encode(), "figures")
+
+
+# --- before anything is measured
+
+
+def expected_card(told: Mapping, size: Size, worn: Sequence[str]) -> dict:
+    """Make the card of a call from rows in which a detector finds everybody in own clothing, and nobody else.
+
+    told: what the card will say itself (`entry.CARD`); worn: the patterns of people in photographs, by name.
+    """
+    zoo = [MARK + row["name"] for row in told["black_box"]["zoo"] if not row["trained_against_it"]]
+    shown = (*[AGAINST] * told["differentiable"], *zoo[:1], *worn, *HEADS, GREY_HEAD, *UNTRAINED)
+    card = card_of(told, size, {part.name: [_expected_rows(part, told, shown)] for part in parts_of(told, size)})
+    if card["photographs"] and zoo:
+        rows = card["photographs"]["rows"]
+        rows |= dict.fromkeys(zoo, rows[zoo[0]])  # which of them people wear is known when all are measured
+    return {key: value for key, value in card.items() if value is not None}
+
+
+def _expected_rows(part: Part, told: Mapping, shown: Sequence[str]) -> Results:
+    """Make up the rows of a part. shown: what people in photographs wear."""
+    if part.name == "people":
+        controls, bodies = shown, ("front", "side", "back")
+        trials = pd.DataFrame({"pose": range(3), "background": 0, "photograph": "", "seen_from": bodies})
+    else:
+        settings, unseen = EvaluateSettings(**part.settings), told["materials"]["unseen"]
+        controls, bodies = (LOGO, *dict.fromkeys((CLOTHING, *settings.controls))), unseen["poses"]
+        trials = draw_trials(len(bodies), part.angles, 1, unseen["outfits"], settings)
+    trials = trials.assign(**dict.fromkeys(TRUE_BOX, 0.0))
+    score = np.zeros((1, len(controls), len(trials)), np.float32)
+    score[:, controls.index(CLOTHING)] = 1
+    boxes = {name: np.zeros(0, kind) for name, kind in BOX_COLUMNS.items()} | {name: np.zeros(0) for name in CORNERS}
+    bare = np.zeros((1, 1), np.float32)
+    names = {"body_names": bodies, "background_names": ("",), "other_name": np.full(score.shape, "other")}
+    own = {told["spec"]: told["operating_point"]}
+    return make_results(own, controls, trials, score, score, bare, boxes, other=np.ones_like(score), **names)
 
 
 # --- of rows
@@ -239,6 +289,11 @@ def differences(fresh: object, said: object, place: str = "") -> Iterator[str]:
         numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in (fresh, said))
         if not (math.isclose(fresh, said, rel_tol=0, abs_tol=ROUNDING) if numbers else fresh == said):
             yield f"{place} is {said!r:.80}; computed anew it is {fresh!r:.80}"
+
+
+def inside(place: str, key: object) -> str:
+    """Name a place in a table or list: "clean" and "n" are "clean.n"."""
+    return f"{place}.{key}" if place else str(key)
 
 
 def row_name(row: object, index: int) -> str:

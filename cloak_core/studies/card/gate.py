@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from cloak_core.files.errors import InputError, one_line, suggestion
 from cloak_core.files.reading import is_number, read_toml
 from cloak_core.files.writing import write_text
-from cloak_core.studies.card.figures import row_name
+from cloak_core.studies.card.figures import inside, row_name
 from cloak_core.studies.card.words import AT_LEAST, name_of
 
 SIDES = ("min", "max")
@@ -111,4 +111,4 @@ def flat(value: object, place: str = "") -> Iterator[tuple[str, object]]:
         yield place, value
         return
     for key, inner in items:
-        yield from flat(inner, f"{place}.{key}" if place else str(key))
+        yield from flat(inner, inside(place, key))

@@ -9,7 +9,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -18,15 +18,16 @@ from cloak_core.core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import NOBODY, Results
 from cloak_core.core.evaluation.statistics import hidden
 from cloak_core.core.pattern import Pattern
+from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text, written
-from cloak_core.studies.card import leaderboard, words
-from cloak_core.studies.card.leaderboard import markdown_rows, read_card
-from cloak_core.studies.card.protocol import Part, part_of_area
+from cloak_core.studies.card import words
+from cloak_core.studies.card.protocol import VERSION, Part, part_of_area
+from cloak_core.studies.card.words import name_of, others_strongest, shown, strongest
 from cloak_core.studies.imagery import flat_views
 from cloak_core.studies.report import page, plots
 from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
-from cloak_core.studies.report.words import markdown
+from cloak_core.studies.report.words import interval, markdown, percent
 from cloak_core.studies.store import RunStore
 
 CARD = "card.html"
@@ -38,6 +39,16 @@ SHOWN = 4
 SIDES = ("front", "back")
 
 
+def read_card(path: Path) -> dict:
+    """Read a card.json. InputError: it is something else, or of another version."""
+    card = read_json(path)
+    if not str(card.get("format", "")).startswith("cloak card"):
+        raise InputError(f"{path}: format is {card.get('format')!r}, not a cloak card")
+    if card.get("protocol") != VERSION:
+        raise InputError(f"{path}: protocol is {card.get('protocol')!r}; this version has {VERSION!r}")
+    return card
+
+
 def write_card(folder: Path) -> Path:
     """Write card.html, card.md (a leaderboard's line) and model_card.md (for model hubs) from what FOLDER holds.
 
@@ -47,16 +58,16 @@ def write_card(folder: Path) -> Path:
     pictures = read_json(folder / "pictures.json") if (folder / "pictures.json").exists() else {}
     write_text(folder / "card.md", "\n".join(markdown_rows([card])) + "\n")
     write_text(folder / "model_card.md", model_card(card))
-    shown = _pictures(card, pictures, folder / "pictures")
+    pictured = _pictures(card, pictures, folder / "pictures")
     rows = (card.get("photographs") or {}).get("rows", {})
     values = {
         "card": card,
         "words": words,
-        "board": leaderboard,
-        "picture": next((pairs[0] for pairs in shown["hidden"].values()), None),
+        "columns": attack_columns(card),
+        "picture": next((pairs[0] for pairs in pictured["hidden"].values()), None),
         "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
         "figures": page.figures(plots.card_figures, card),
-        "pictures": shown,
+        "pictures": pictured,
         "size": card["counts"]["pixels"],
         "text": json.dumps({key: card[key] for key in ("counts", "materials", "made")}, indent=2),
     }
@@ -67,7 +78,7 @@ def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
     """Write one page that compares the cards in these folders, named by their keys; it links to each one's own page."""
     cards = [read_card(folder / "card.json") | {"label": name} for name, folder in folders.items()]
     links = [Path(os.path.relpath(folder / CARD, path.parent)).as_posix() for folder in folders.values()]
-    heads, rows = leaderboard.leaderboard_table(cards)
+    heads, rows = leaderboard_table(cards)
     values = {
         "title": "Robustness cards",
         "words": words,
@@ -134,6 +145,65 @@ def _parts_with_pairs(card: dict, hidden: Mapping[str, Sequence]) -> list[str]:
     zoo = [f"zoo {row['name']}" for row in card["black_box"]["zoo"]]
     smallest = next((part for part in (*areas, *zoo) if hidden.get(part)), "circle")
     return [part for part in dict.fromkeys((smallest, "circle")) if hidden.get(part)]
+
+
+# --- its tables: a figure is computed in `figures`, and shown as a column here
+
+
+def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
+    """The columns of the table of attacks: head -> the cell of a row of `attack_record`."""
+    return {
+        f"hidden at its own {card['operating_point']}": shown,
+        "95 %": lambda row: interval(row["ci95_own"]),
+        "how sure": lambda row: row["state"],
+        "hidden at 0.6": lambda row: percent(row["success"]),
+        "95 % at 0.6": lambda row: interval(row["ci95"]),
+        "hidden at 0.5": lambda row: percent(row["success_05"]),
+        "mASR 0.1 – 0.9": lambda row: percent(row["masr"]),
+        "AP50": lambda row: f"{100 * row['ap50']:.1f}",
+        "AP50:95": lambda row: f"{100 * row['ap50_95']:.1f}",
+        "something else there": lambda row: percent(row["renamed_own"]),
+        "nothing there": lambda row: percent(row["gone_own"]),
+        "random colours": lambda row: percent(row["random_own"]),
+        "own clothing": lambda row: percent(row["clothing_own"]),
+        "images": lambda row: str(row["n"]),
+    }
+
+
+def leaderboard_row(card: dict) -> dict[str, str]:
+    """The card's line in a leaderboard, column by column; photographs first."""
+
+    def both(row: dict | None, key: str = "success_own") -> str:
+        # A share and, in a line of its own, its interval: a table of ten columns then fits a page.
+        return f"{shown(row, key)}\n({interval(row['ci95_own'])})" if row else shown(row)
+
+    clean, worn = card["clean"], strongest(card, True)
+    return {
+        "detector": name_of(card),
+        "photographs ↓": both(worn and worn.row),
+        **{f"{percent(row['asked'])} ↓": both(row) for row in reversed(card["white_box"])},
+        "all around ↓": both(card.get("around")),
+        "others' cloaks ↓": both(others_strongest(card["black_box"]["zoo"])),
+        "clean recall ↑": both(clean, "recall_own"),
+        "AP50 ↑": f"{100 * clean['ap50']:.1f}",
+        "false alarms ↓": percent(clean["false_alarms_own"]),
+        "threshold": f"{card['operating_point']:g}",
+        "size": card["size"],
+    }
+
+
+def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:
+    """The heads and the cells of all cards' lines; a card without a column has "–" there."""
+    rows = [leaderboard_row(card) for card in cards]
+    heads = list(dict.fromkeys([*max(rows, key=len), *(key for row in rows for key in row)]))
+    return heads, [[row.get(head, "–") for head in heads] for row in rows]
+
+
+def markdown_rows(cards: list[dict]) -> list[str]:
+    """Make a Markdown table of cards, one line each."""
+    heads, rows = leaderboard_table(cards)
+    lines = [heads, ["---"] * len(heads), *rows]
+    return ["| " + " | ".join(markdown(cell).replace("\n", "<br>") for cell in line) + " |" for line in lines]
 
 
 # --- the pictures beside a card

@@ -31,6 +31,8 @@ PEOPLE = 8
 ANGLES = 5
 FAILURES = 6
 WORST = 10
+SAVING = {"quality": 92, "subsampling": 0}
+"""Pillow's options for JPEG."""
 SOFT, PAPER = "#59636e", "#ffffff"
 """Colours of what stands beside names, and of the ground."""
 
@@ -55,7 +57,7 @@ def write_pictures(
     shown = gallery_trials(trials)
     middle = shown[len(shown) // (2 * trials.loc[shown, "pose"].nunique())]
     found = {
-        "thresholds": _own(detectors),
+        "thresholds": {spec: float(detector.operating_point) for spec, detector in detectors.items()},
         "gallery": [pair(trial) for trial in shown],
         "failures": {},
         "worst": {},
@@ -144,40 +146,37 @@ def draw_trial(
     shots = {}
     for (name, _), image in zip(patterns.items(), images.compose([trial], list(patterns.values())), strict=True):
         about = {spec: images.judged(detector(image), views, [trial])[0] for spec, detector in detectors.items()}
-        picture = _save(folder / f"{trial:05d}-{name}.jpg", image)
-        shots[name] = picture | _described(about, _own(detectors))
+        file = f"{trial:05d}-{name}.jpg"
+        save_picture(folder / file, to_pil(image[0]), **SAVING)
+        shots[name] = {"file": file} | _described(about, detectors)
     return shots
 
 
-@torch.no_grad()
 def write_shot(path: Path, image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector]) -> dict:
     """Write one image as JPEG; return its file, and each detector's boxes above its own threshold and best score."""
-    found = {spec: detector(image) for spec, detector in detectors.items()}
-    return _save(path, image) | _described(found, _own(detectors))
-
-
-def _save(path: Path, image: Float[Tensor, "1 3 H W"]) -> dict:
-    save_picture(path, to_pil(image[0]), quality=92, subsampling=0)
-    return {"file": path.name}
+    save_picture(path, to_pil(image[0]), **SAVING)
+    return {"file": path.name} | reported(image, detectors)
 
 
 @torch.no_grad()
-def reported(image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float) -> dict:
-    """Tell each detector's `boxes` above the threshold (x1, y1, x2, y2, score, best first) and its best `scores`."""
-    found = {spec: detector(image) for spec, detector in detectors.items()}
-    return _described(found, dict.fromkeys(detectors, threshold))
+def reported(
+    image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float | None = None
+) -> dict:
+    """Tell each detector's `boxes` above the threshold (x1, y1, x2, y2, score, best first) and its best `scores`.
+
+    threshold: None for each detector's own.
+    """
+    return _described({spec: detector(image) for spec, detector in detectors.items()}, detectors, threshold)
 
 
-def _own(detectors: Mapping[str, Detector]) -> dict[str, float]:
-    return {spec: float(detector.operating_point) for spec, detector in detectors.items()}
-
-
-def _described(detections: Mapping[str, Detections], thresholds: Mapping[str, float]) -> dict:
-    """Describe what detectors report in one image; see `reported`."""
+def _described(
+    detections: Mapping[str, Detections], detectors: Mapping[str, Detector], threshold: float | None = None
+) -> dict:
     boxes, scores = {}, {}
     for spec, found in detections.items():
+        above = float(detectors[spec].operating_point) if threshold is None else threshold
         scores[spec] = round(float(max_person_score(found)[0]), 4)
-        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, thresholds[spec])[0].tolist()]
+        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, above)[0].tolist()]
     return {"boxes": boxes, "scores": scores}
 
 
