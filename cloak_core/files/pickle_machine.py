@@ -30,6 +30,9 @@ TIMES_THE_FILE = 4
 MAX_AXES = 64
 _PLAIN = (str, int, float, bytes, bool, type(None))
 """Types of dictionary keys: hashing nested tuples takes time exponential in their depth."""
+_REFUSED = pickle.EXT1 + pickle.EXT2 + pickle.EXT4 + pickle.NEWOBJ_EX + pickle.FROZENSET
+_REFUSED += pickle.NEXT_BUFFER + pickle.READONLY_BUFFER
+"""Opcodes that nobody needs."""
 _NUMBER = re.compile(r"[<>|=]?(b1|\?|[iu][1248]|f[248]|[SU][0-9]{1,4})\Z")
 
 
@@ -110,8 +113,6 @@ class PickleMachine(pickle._Unpickler):
 
     admitted: Mapping[tuple[str, str], object] = {}
     recorded = re.compile(r"(?!)")
-    dispatch: ClassVar = dict(pickle._Unpickler.dispatch)
-    """The step of each opcode, by its byte."""
 
     def __init__(self, file: io.BufferedIOBase, path: Path, size: int | None = None) -> None:
         """size: of the whole file in bytes, where the pickle is a part of it."""
@@ -177,15 +178,12 @@ class PickleMachine(pickle._Unpickler):
     def _instantiate(self, klass: object, args: list) -> None:
         self.append(self.call(klass, tuple(args)))
 
-    def load_reduce(self) -> None:
-        arguments = self.stack.pop()
+    def reduce(self, arguments: object) -> None:
+        """Replace the function on top of the stack by what it gives."""
         self.append(self.call(self.stack.pop(), arguments))
 
-    dispatch[pickle.REDUCE[0]] = dispatch[pickle.NEWOBJ[0]] = load_reduce
-
-    def load_build(self) -> None:
-        """Give something its state."""
-        state = self.stack.pop()
+    def build(self, state: object) -> None:
+        """Give what is on top of the stack its state."""
         thing = self.stack[-1]
         if isinstance(thing, Record):
             thing.state = state if isinstance(state, dict) else {}
@@ -196,73 +194,39 @@ class PickleMachine(pickle._Unpickler):
         elif not isinstance(thing, OrderedDict):  # torch hangs notes on its state dictionaries
             raise ValueError(f"a state for a {type(thing).__name__}")
 
-    dispatch[pickle.BUILD[0]] = load_build
+    def put(self, items: list) -> None:
+        """Put items into the list, set or dictionary (keys and values in turns) on top of the stack."""
+        target = self.stack[-1]
+        if type(target) is list:
+            target.extend(items)
+        elif type(target) is set:
+            target.update(map(plain_key, items))
+        elif type(target) in (dict, OrderedDict):
+            target.update(zip(map(plain_key, items[::2]), items[1::2], strict=True))
+        else:
+            raise ValueError(f"items for a {type(target).__name__}")
 
-    def load_appends(self) -> None:
-        items = self.pop_mark()
-        self._top(list).extend(items)
-
-    dispatch[pickle.APPENDS[0]] = load_appends
-
-    def load_append(self) -> None:
-        item = self.stack.pop()
-        self._top(list).append(item)
-
-    dispatch[pickle.APPEND[0]] = load_append
-
-    def load_additems(self) -> None:
-        items = self.pop_mark()
-        self._top(set).update(map(plain_key, items))
-
-    dispatch[pickle.ADDITEMS[0]] = load_additems
-
-    def load_setitems(self) -> None:
-        self._set(self.pop_mark())
-
-    dispatch[pickle.SETITEMS[0]] = load_setitems
-
-    def load_setitem(self) -> None:
-        value = self.stack.pop()
-        self._set([self.stack.pop(), value])
-
-    dispatch[pickle.SETITEM[0]] = load_setitem
-
-    def load_dict(self) -> None:
-        items = self.pop_mark()
+    def new_dictionary(self, items: list) -> None:
+        """Push a dictionary of these keys and values, in turns."""
         self.append({})
-        self._set(items)
+        self.put(items)
 
-    dispatch[pickle.DICT[0]] = load_dict
-
-    def _top(self, *kinds: type) -> list | set | dict:
-        if type(self.stack[-1]) not in kinds:
-            raise ValueError(f"items for a {type(self.stack[-1]).__name__}")
-        return self.stack[-1]
-
-    def _set(self, items: list) -> None:
-        """Set keys and values, in turns, in the dictionary on top of the stack."""
-        target = self._top(dict, OrderedDict)
-        for key, value in zip(items[::2], items[1::2], strict=True):
-            target[plain_key(key)] = value
-
-    def load_frame(self) -> None:
-        self.read(8)  # its length: what is in it is read as all else
-
-    dispatch[pickle.FRAME[0]] = load_frame
-
-    def load_bytearray8(self) -> None:
-        self.append(self.read(int.from_bytes(self.read(8), "little")))
-
-    dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
-
-    def load_long4(self) -> None:
+    def refuse_integer(self) -> None:
+        """ValueError: four bytes tell its length."""
         raise ValueError("an integer of absurd size")
 
-    dispatch[pickle.LONG4[0]] = load_long4
-
-
-for _code in (
-    *(pickle.EXT1, pickle.EXT2, pickle.EXT4, pickle.NEWOBJ_EX, pickle.FROZENSET),
-    *(pickle.NEXT_BUFFER, pickle.READONLY_BUFFER),
-):
-    del PickleMachine.dispatch[_code[0]]
+    dispatch: ClassVar = {code: step for code, step in pickle._Unpickler.dispatch.items() if code not in _REFUSED} | {
+        pickle.REDUCE[0]: lambda machine: machine.reduce(machine.stack.pop()),
+        pickle.NEWOBJ[0]: lambda machine: machine.reduce(machine.stack.pop()),
+        pickle.BUILD[0]: lambda machine: machine.build(machine.stack.pop()),
+        pickle.APPEND[0]: lambda machine: machine.put([machine.stack.pop()]),
+        pickle.APPENDS[0]: lambda machine: machine.put(machine.pop_mark()),
+        pickle.ADDITEMS[0]: lambda machine: machine.put(machine.pop_mark()),
+        pickle.SETITEM[0]: lambda machine: machine.put([machine.stack.pop(-2), machine.stack.pop()]),
+        pickle.SETITEMS[0]: lambda machine: machine.put(machine.pop_mark()),
+        pickle.DICT[0]: lambda machine: machine.new_dictionary(machine.pop_mark()),
+        pickle.FRAME[0]: lambda machine: machine.read(8),  # its length: what is in it is read as all else
+        pickle.BYTEARRAY8[0]: lambda machine: machine.append(machine.read(int.from_bytes(machine.read(8), "little"))),
+        pickle.LONG4[0]: refuse_integer,
+    }
+    """The step of each opcode, by its byte."""

@@ -7,11 +7,12 @@ refused before it is looked up.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -120,7 +121,10 @@ class TorchMachine(PickleMachine):
         size: int | None = None,
         is_rewritten: bool = False,
     ) -> None:
-        """is_rewritten: the numbers can be written to; `storages` has them by their members of the archive."""
+        """archive: of `size` bytes, has the numbers in `folder`; is_rewritten: they can be written to.
+
+        `storages` has them by the names of their members.
+        """
         super().__init__(file, path, size)
         self.archive, self.folder, self.is_rewritten = archive, folder, is_rewritten
         self.storages: dict[str, np.ndarray] = {}
@@ -150,17 +154,8 @@ def read_torch_pickle(path: Path) -> object:
     Raises `InputError` for any other class (by name; nothing of it is run), a TorchScript archive, torch's format
     before 1.6, damage, and absurd sizes.
     """
-    try:
-        with open_regular(path, MAX_BYTES) as file:
-            start = file.read(4)
-            file.seek(0)
-            if start == b"PK\3\4":
-                return _read_archive(file, path)
-            _refuse_pickle(file, path)
-    except (InputError, MemoryError):
-        raise
-    except Exception as error:  # damage shows itself as almost any error of zipfile, codecs, struct and numpy
-        raise InputError(f"{path}: not a whole file of torch.save ({first_line(error)[:160]})") from None
+    with _opened(path) as machine:
+        return machine.load()
 
 
 def rewrite_torch_pickle(source: Path, target: Path, change: Callable[[object], None]) -> None:
@@ -169,44 +164,53 @@ def rewrite_torch_pickle(source: Path, target: Path, change: Callable[[object], 
 
     InputError as `read_torch_pickle`, and for numbers in bfloat16.
     """
-    read_torch_pickle(source)  # refuses what is to be refused
-    with open_regular(source, MAX_BYTES) as file, zipfile.ZipFile(file) as archive:
-        (pickled,) = (name for name in archive.namelist() if name == "data.pkl" or name.endswith("/data.pkl"))
-        folder = pickled.removesuffix("data.pkl")
-        size = source.stat().st_size
-        machine = TorchMachine(io.BytesIO(archive.read(pickled)), source, archive, folder, size, is_rewritten=True)
+    with _opened(source, is_rewritten=True) as machine:
         change(machine.load())
-        changed = {f"{folder}data/{key}": numbers.tobytes() for key, numbers in machine.storages.items()}
+        changed = {f"{machine.folder}data/{key}": numbers.tobytes() for key, numbers in machine.storages.items()}
 
         def write(out: BinaryIO) -> None:
             with zipfile.ZipFile(out, "w") as written:
-                for member in archive.infolist():
-                    written.writestr(member.filename, changed.get(member.filename) or archive.read(member))
+                for member in machine.archive.infolist():
+                    written.writestr(member.filename, changed.get(member.filename) or machine.archive.read(member))
 
         replace_file(target, write)
 
 
-def _read_archive(file: io.BufferedIOBase, path: Path) -> object:
-    check_directory(file)
-    size = file.seek(0, io.SEEK_END)
-    with zipfile.ZipFile(file) as archive:
-        members = archive.infolist()
-        found = [m for m in members if m.filename == "data.pkl" or m.filename.endswith("/data.pkl")]
-        if any(m.filename.endswith("constants.pkl") for m in members):
-            raise InputError(f"{path}: a TorchScript archive, a compiled program; give the checkpoint it was made from")
-        if len(found) != 1 or len(members) > MAX_MEMBERS:
-            raise ValueError("no archive of one model")
-        # torch compresses nothing, and no two members share their bytes.
-        if found[0].file_size > MAX_PICKLE_BYTES or sum(m.file_size for m in members) > size:
-            raise ValueError("too large: it would unpack to more than it is")
-        folder = found[0].filename.removesuffix("data.pkl")
-        if any(m.filename == f"{folder}byteorder" for m in members) and archive.read(f"{folder}byteorder") != b"little":
-            raise ValueError("big-endian numbers")
-        return TorchMachine(io.BytesIO(archive.read(found[0])), path, archive, folder, size).load()
+@contextlib.contextmanager
+def _opened(path: Path, is_rewritten: bool = False) -> Iterator[TorchMachine]:
+    """Open an archive, and check it before its pickle is read. InputError as in `read_torch_pickle`."""
+    try:
+        with open_regular(path, MAX_BYTES) as file:
+            is_archive = file.read(4) == b"PK\3\4"
+            file.seek(0)
+            if not is_archive:  # perhaps torch's format before 1.6: the machine names what of it is never loaded
+                for _ in range(4):  # that format's mark, its version, the machine, and only then the content
+                    TorchMachine(file, path).load()
+                raise ValueError("a bare pickle")
+            check_directory(file)
+            size = file.seek(0, io.SEEK_END)
+            with zipfile.ZipFile(file) as archive:
+                folder = _folder_in(archive, path, size)
+                pickled = io.BytesIO(archive.read(f"{folder}data.pkl"))
+                yield TorchMachine(pickled, path, archive, folder, size, is_rewritten)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # damage shows itself as almost any error of zipfile, codecs, struct and numpy
+        raise InputError(f"{path}: not a whole file of torch.save ({first_line(error)[:160]})") from None
 
 
-def _refuse_pickle(file: io.BufferedIOBase, path: Path) -> None:
-    """A bare pickle, perhaps torch's format before 1.6: InputError, which names what of it is never loaded."""
-    for _ in range(4):  # that format's mark, its version, the machine, and only then the content
-        TorchMachine(file, path).load()
-    raise ValueError("a bare pickle")
+def _folder_in(archive: zipfile.ZipFile, path: Path, size: int) -> str:
+    """Find the folder of all members in an archive of `size` bytes. InputError, ValueError: none of one model."""
+    members = archive.infolist()
+    if any(m.filename.endswith("constants.pkl") for m in members):
+        raise InputError(f"{path}: a TorchScript archive, a compiled program; give the checkpoint it was made from")
+    found = [m for m in members if m.filename == "data.pkl" or m.filename.endswith("/data.pkl")]
+    if len(found) != 1 or len(members) > MAX_MEMBERS:
+        raise ValueError("no archive of one model")
+    # torch compresses nothing, and no two members share their bytes.
+    if found[0].file_size > MAX_PICKLE_BYTES or sum(m.file_size for m in members) > size:
+        raise ValueError("too large: it would unpack to more than it is")
+    folder = found[0].filename.removesuffix("data.pkl")
+    if any(m.filename == f"{folder}byteorder" for m in members) and archive.read(f"{folder}byteorder") != b"little":
+        raise ValueError("big-endian numbers")
+    return folder
