@@ -20,12 +20,6 @@ from cloak_core.detectors.specs import PERSON
 from cloak_core.files.errors import InputError
 
 
-def is_maite_model(given: object) -> bool:
-    """Tell whether something is called as MAITE's models are: it has a record `metadata` with an "id"."""
-    metadata = getattr(given, "metadata", None)
-    return callable(given) and isinstance(metadata, Mapping) and "id" in metadata
-
-
 class MaiteModel(nn.Module):
     """A model of MAITE's protocol as a module of ours: (boxes [B, N, 4], person scores [B, N]).
 

@@ -6,7 +6,7 @@ import contextlib
 import copy
 import hashlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.maite import MaiteModel, is_maite_model
+from cloak_core.detectors.maite import MaiteModel
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.detectors.reachable import content_of
 from cloak_core.files.errors import InputError, first_line
@@ -43,9 +43,10 @@ def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
         return _copied(given) if _is_foreign(given) else given
     if isinstance(given, str):
         return load_detector(given, device=device)
-    if is_maite_model(given):
+    metadata = getattr(given, "metadata", None)
+    if callable(given) and isinstance(metadata, Mapping) and "id" in metadata:  # as MAITE's models are called
         made = _module(MaiteModel(given), given, device)
-        made.name = made.spec = str(given.metadata["id"])
+        made.name = made.spec = str(metadata["id"])
     elif isinstance(given, nn.Module):
         module = _copied(given)
         made = _torchvision(module) or _module(module, type(given), device)

@@ -97,7 +97,8 @@ class _Walk:
     def _object(self, thing: object) -> None:
         """Add an object by its class, its attributes, and what it would be made of again."""
         self._all("object", [type(thing), dict(getattr(thing, "__dict__", {}))])
-        slots = {name for kind in type(thing).__mro__ for name in _names(vars(kind).get("__slots__", ()))}
+        named = [vars(kind).get("__slots__", ()) for kind in type(thing).__mro__]
+        slots = {name for part in named for name in ([part] if isinstance(part, str) else part)}
         self._all("slots", [(name, getattr(thing, name)) for name in sorted(slots) if hasattr(thing, name)])
         made = thing.__reduce_ex__(4)  # TypeError where there is more to it than Python sees
         parts = [made] if isinstance(made, str) else [*made[:3], *(list(part or ()) for part in made[3:5])]
@@ -132,12 +133,18 @@ class _Walk:
         self._say("code", code.co_code, code.co_flags, code.co_argcount, code.co_kwonlyargcount)
         self._say(code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
         self._all("constants", code.co_consts)
-        for name, level in _imports_of(code):
+        steps = list(dis.get_instructions(code))
+        imports = [(k, step.argval) for k, step in enumerate(steps) if step.opname == "IMPORT_NAME"]
+        for k, name in imports:
             found = sys.modules.get(name) or importlib.util.find_spec(name)
-            if level or found is None:
+            if steps[k - 2].argval or found is None:  # how many packages up it begins
                 raise ImportError(name)
-            is_loaded = isinstance(found, types.ModuleType)
-            self._global(found, set(code.co_names)) if is_loaded else self._installed(name, found.origin)
+            if isinstance(found, types.ModuleType):
+                self._global(found, set(code.co_names))
+            elif found.origin in (None, "built-in", "frozen") or _is_installed(found.origin):
+                self._say("module", name)
+            else:
+                raise ImportError(name)
 
     def _global(self, value: object, attributes: set[str]) -> None:
         """Add what a name stands for: of a module of the user's, what the code may ask of it."""
@@ -154,11 +161,6 @@ class _Walk:
         if not _is_part_of_package(module):
             raise TypeError("a module of the user, whose every value may decide")
         self._say("module", module.__name__, _version(module.__name__))
-
-    def _installed(self, name: str, file: str | None) -> None:
-        if file not in (None, "built-in", "frozen") and not _is_installed(file):
-            raise ImportError(name)
-        self._say("module", name)
 
     def _class(self, kind: type) -> None:
         self._say("class", kind.__module__, kind.__qualname__)
@@ -208,29 +210,16 @@ _KINDS = (
 """How each kind of object is followed; all others as `_Walk._object` says."""
 
 
-def _names(slots: object) -> Iterable[str]:
-    return [slots] if isinstance(slots, str) else slots
-
-
 def _globals_of(code: types.CodeType) -> dict[str, set[str]]:
     """Names of globals that the code, or code within it, reads, and all names that it may ask of them."""
     found: dict[str, set[str]] = {}
-    for inner in _all_code(code):
+    codes = [code]
+    for inner in codes:  # grows by the code within it
+        codes += [const for const in inner.co_consts if isinstance(const, types.CodeType)]
         for step in dis.get_instructions(inner):
             if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
                 found.setdefault(step.argval, set()).update(inner.co_names)
     return found
-
-
-def _all_code(code: types.CodeType) -> list[types.CodeType]:
-    inner = [part for const in code.co_consts if isinstance(const, types.CodeType) for part in _all_code(const)]
-    return [code, *inner]
-
-
-def _imports_of(code: types.CodeType) -> list[tuple[str, int]]:
-    """Modules that the code imports when it runs, each with how many packages up it begins."""
-    steps = list(dis.get_instructions(code))
-    return [(s.argval, steps[k - 2].argval) for k, s in enumerate(steps) if s.opname == "IMPORT_NAME"]
 
 
 def _is_part_of_package(module: types.ModuleType) -> bool:

@@ -51,10 +51,8 @@ def parts_of_others(known: Sequence[str], new: Sequence[str]) -> Iterator[tuple[
     """
     some = known[: MOST_PAIRS // max(1, len(new))]
     ours, theirs = ([unpacked(text) for text in texts] for texts in (some, new))
-    for i, j in _parts(ours, theirs):
-        yield i, j
-    for j, i in _parts(theirs, ours):
-        yield i, j
+    yield from _parts(ours, theirs)
+    yield from ((i, j) for j, i in _parts(theirs, ours))
 
 
 def parts_are_told(known: Sequence[str], new: Sequence[str]) -> bool:

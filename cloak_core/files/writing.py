@@ -88,20 +88,23 @@ def require_new(path: str | os.PathLike) -> None:
         raise InputError(f"{path}: exists already")
 
 
+def _leftovers(folder: Path, name: str = ".+") -> list[Path]:
+    """List what killed writers left in a folder, of files and folders of this name (a regular expression)."""
+    there = folder.iterdir() if folder.is_dir() else ()
+    return [other for other in there if re.fullmatch(rf"\.{name}\.[a-z0-9_]{{8}}", other.name)]
+
+
 def remove_leftovers(path: str | os.PathLike) -> None:
     """Remove what writers of this file or folder left beside it when they were killed. Nobody may be writing it now."""
     path = Path(path)
-    left = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\Z")
-    if path.parent.is_dir():
-        for other in path.parent.iterdir():
-            if left.match(other.name):
-                shutil.rmtree(other, ignore_errors=True) if other.is_dir() else other.unlink(missing_ok=True)
+    for other in _leftovers(path.parent, re.escape(path.name)):
+        shutil.rmtree(other, ignore_errors=True) if other.is_dir() else other.unlink(missing_ok=True)
 
 
 def remove_all_leftovers(folder: Path) -> None:
     """Remove what killed writers left of any file in a folder. Nobody else may be writing into it now."""
-    for other in folder.iterdir() if folder.is_dir() else ():
-        if re.fullmatch(r"\..+\.[a-z0-9_]{8}", other.name) and other.is_file():
+    for other in _leftovers(folder):
+        if other.is_file():
             with contextlib.suppress(OSError):  # it is in nobody's way
                 other.unlink()
 
@@ -151,7 +154,9 @@ def new_folder(folder: Path) -> Iterator[Path]:
     """
     with written(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        remove_abandoned(folder)
+        for other in _leftovers(folder.parent, re.escape(folder.name)):
+            if other.is_dir() and _is_abandoned(other):
+                shutil.rmtree(other, ignore_errors=True)
         temporary = _beside(folder)
         temporary.mkdir()
         try:
@@ -167,18 +172,11 @@ def new_folder(folder: Path) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
 
 
-def remove_abandoned(folder: Path) -> None:
-    """Remove temporary folders that `new_folder` left beside `folder` in processes that were killed.
-
-    A living process holds the lock of its mark. One without a mark (of an earlier version) goes after a day.
-    """
-    left = re.compile(rf"\.{re.escape(folder.name)}\.[a-z0-9_]{{8}}\Z")
-    for other in folder.parent.iterdir():
-        if left.match(other.name) and other.is_dir() and _is_abandoned(other):
-            shutil.rmtree(other, ignore_errors=True)
-
-
 def _is_abandoned(temporary: Path) -> bool:
+    """Tell whether the process that wrote a temporary folder was killed: a living one holds the lock of its mark.
+
+    One without a mark (of an earlier version) goes after a day.
+    """
     try:
         if not (temporary / WRITING).is_file():
             return time.time() - temporary.stat().st_mtime > DAY

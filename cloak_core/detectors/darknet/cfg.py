@@ -24,9 +24,6 @@ class Section:
         """Make an InputError that says where in the .cfg the trouble is."""
         return InputError(f"{self.source}:{self.line}: [{self.kind}] {message}")
 
-    def text(self, key: str, default: str) -> str:
-        return self.options.get(key, default)
-
     def integer(self, key: str, default: int | None = None, low: int | None = None) -> int:
         """Read an integer option, at least `low`; without a default the option must be there."""
         if key not in self.options:
@@ -41,22 +38,15 @@ class Section:
     def number(self, key: str, default: float) -> float:
         return self._number(key, self.options[key], float) if key in self.options else default
 
-    def integers(self, key: str) -> list[int]:
-        """Read a comma-separated list of integers, empty where the option is absent."""
-        return [self._number(key, part, int) for part in self._parts(key)]
-
-    def numbers(self, key: str) -> list[float]:
+    def listed(self, key: str, kind: type[int] | type[float]) -> list:
         """Read a comma-separated list of numbers, empty where the option is absent."""
-        return [self._number(key, part, float) for part in self._parts(key)]
+        return [self._number(key, part, kind) for part in self.options.get(key, "").split(",") if part]
 
     def refuse(self, *keys: str) -> None:
         """Refuse options that change the result and are not computed here."""
         for key in keys:
             if self.options.get(key, "0") not in ("0", "0.0", "none"):
                 raise self.error(f"{key}={self.options[key]} is not supported")
-
-    def _parts(self, key: str) -> list[str]:
-        return [part for part in self.options.get(key, "").split(",") if part]
 
     def _number(self, key, text, kind):
         try:

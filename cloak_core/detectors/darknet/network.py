@@ -174,11 +174,11 @@ def _shortcut(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.M
         if shapes[index][1:] != shape[1:]:
             raise section.error(f"adds layer {index} of another size ({shapes[index]} to {shape})")
     activation = _activation(section, "linear")
-    kind = section.text("weights_type", "none")
+    kind = section.options.get("weights_type", "none")
     if kind != "none":
         if kind not in ("per_feature", "per_layer", "per_channel"):
             raise section.error(f"weights_type={kind} is not supported")
-        normalization = section.text("weights_normalization", "none").removeprefix("avg_")
+        normalization = section.options.get("weights_normalization", "none").removeprefix("avg_")
         if normalization not in ("none", "relu", "softmax"):
             raise section.error(f"weights_normalization={normalization} is not supported")
         columns = shape[0] if kind == "per_channel" else 1
@@ -224,9 +224,9 @@ def _region(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Mod
 def _yolo(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
     section.refuse("obj_channels", "embedding_layer")
     anchors = _anchors(section)
-    mask = section.integers("mask") or list(range(len(anchors)))
+    mask = section.listed("mask", int) or list(range(len(anchors)))
     if not all(0 <= index < len(anchors) for index in mask):
-        raise section.error(f"mask={section.text('mask', '')} reaches beyond its {len(anchors)} anchors")
+        raise section.error(f"mask={section.options.get('mask', '')} reaches beyond its {len(anchors)} anchors")
     scale, new_coords = section.number("scale_x_y", 1.0), bool(section.integer("new_coords", 0))
     head = Yolo([anchors[index] for index in mask], section.integer("classes", 20, low=1), scale, new_coords)
     return _check_head(head, section, shape), shape
@@ -248,7 +248,7 @@ BUILDERS = {
 
 
 def _activation(section: Section, default: str) -> str:
-    name = section.text("activation", default)
+    name = section.options.get("activation", default)
     if name not in ACTIVATIONS:
         raise section.error(f"activation={name} is not supported; known are {', '.join(ACTIVATIONS)}")
     return name
@@ -262,7 +262,7 @@ def _strides(section: Section) -> tuple[int, int]:
 
 def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:
     """Resolve absolute indices of the layers an option names; negative numbers count back from the layer itself."""
-    given = section.integers(key)
+    given = section.listed(key, int)
     if not given:
         raise section.error(f"lacks {key}=")
     absolute = [index if index >= 0 else len(shapes) + index for index in given]
@@ -273,7 +273,7 @@ def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:
 
 
 def _anchors(section: Section) -> list[tuple[float, float]]:
-    count, values = section.integer("num", 1, low=1), section.numbers("anchors")
+    count, values = section.integer("num", 1, low=1), section.listed("anchors", float)
     if len(values) != 2 * count:
         raise section.error(f"num={count} needs {2 * count} numbers in anchors=, found {len(values)}")
     return list(zip(values[::2], values[1::2], strict=True))

@@ -160,7 +160,7 @@ def _white_box(request: Request, file: ModelFile) -> OnnxDetector:
     elif detector.partial_gradient:
         raise NotTrainable(f"{file.path}: its graph chooses boxes itself, and {CHOSEN_ALONE}")
     elif not request.fold:
-        detector.weights = TrainableWeights(graph, model, read_proto(file.path)[0])
+        detector.weights = TrainableWeights(graph, model, read_proto(file.path)[0], file.path)
     return detector
 
 

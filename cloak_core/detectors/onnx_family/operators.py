@@ -66,20 +66,16 @@ def _is_known(node: onnx.NodeProto, version: int) -> bool:
         except NotImplementedError:
             continue
         meant = _BORROWED.get((*operator, registered), registered)
-        if meant < version and _uses_what_is_new(node, version, meant):
-            return False
+        if meant < version:
+            new, old = (defs.get_schema(node.op_type, v, node.domain) for v in (version, meant))
+            added = [a for a in node.attribute if a.name in new.attributes and a.name not in old.attributes]
+            if len(node.input) > old.max_input or any(a != new.attributes[a.name].default_value for a in added):
+                return False  # it uses an input or an attribute that the older version does not know
         if registered < version:
             add_converter(node.op_type, version, node.domain)(translation)
             _BORROWED[*operator, version] = meant
         return True
     return False
-
-
-def _uses_what_is_new(node: onnx.NodeProto, version: int, older: int) -> bool:
-    """Tell whether a node has an attribute or an input that the older version of its operator does not know."""
-    new, old = (defs.get_schema(node.op_type, max_inclusive_version=v, domain=node.domain) for v in (version, older))
-    added = [a for a in node.attribute if a.name in new.attributes and a.name not in old.attributes]
-    return len(node.input) > old.max_input or any(a != new.attributes[a.name].default_value for a in added)
 
 
 def _rewrite(node: onnx.NodeProto, constants: Constants) -> None:

@@ -55,7 +55,8 @@ class TrainableWeights:
     it is, in which weights may have another name for each use (Identity) and half precision.
     """
 
-    def __init__(self, graph: fx.GraphModule, model: onnx.ModelProto, original: onnx.ModelProto) -> None:
+    def __init__(self, graph: fx.GraphModule, model: onnx.ModelProto, original: onnx.ModelProto, path: Path) -> None:
+        """NotTrainable: there is nothing that is trained in the file at `path`."""
         from onnx import numpy_helper
 
         self._owners, tensors = _owners(original.graph), _tensors(original.graph)
@@ -73,6 +74,8 @@ class TrainableWeights:
             held = _as_in_the_file(_tensor_at(graph, places[0]), places[0])
             if alike and name in tensors and np.array_equal(held, numpy_helper.to_array(tensors[name])):
                 self._tie(graph, name, places)
+        if not self.parameters:
+            raise NotTrainable(f"{path}: has no weights of convolutions or linear layers that could be trained")
         self.chooses = any(node.op_type == "TopK" for node in model.graph.node)
         """The graph chooses the best of something, so that its outputs stand in no order."""
         trained = set(map(id, self.parameters.values()))
@@ -81,11 +84,6 @@ class TrainableWeights:
                 if parameter is not None and id(parameter) not in trained:
                     delattr(module, attribute)
                     module.register_buffer(attribute, parameter.detach())
-
-    def check(self, path: Path) -> None:
-        """Check that a detector can learn. NotTrainable: nothing is trained."""
-        if not self.parameters:
-            raise NotTrainable(f"{path}: has no weights of convolutions or linear layers that could be trained")
 
     def write_into(self, original: onnx.ModelProto) -> None:
         """Write the weights that have changed into the file's graph, in place, in the precision that they have there.

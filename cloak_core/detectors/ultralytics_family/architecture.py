@@ -111,7 +111,10 @@ def check(architecture: dict, tasks: ModuleType, where: str) -> str:
     if not layers or not whole or len(layers) > MAX_LAYERS:
         raise InputError(f"{where}: describes no network (backbone and head: lists of [from, number, module, args])")
     for _, repeats, name, arguments in layers:
-        if not _is_layer(name, tasks):
+        named = str(name)
+        kind = getattr(nn, named[3:], None) if named.startswith("nn.") else getattr(tasks, named, None)
+        is_layer = isinstance(name, str) and isinstance(kind, type) and issubclass(kind, nn.Module)
+        if not is_layer or not kind.__module__.startswith(("torch.nn.", "ultralytics.nn.modules.")):
             raise InputError(f"{where}: a layer {str(name)[:60]!r}, which is none of ultralytics' or torch's")
         if name in FETCHING:
             raise InputError(f"{where}: a layer {name}, which fetches weights of its own")
@@ -130,14 +133,6 @@ def check(architecture: dict, tasks: ModuleType, where: str) -> str:
     if head not in (*DENSE, QUERIES):
         raise InputError(f"{where}: its head is {head}; detection is needed ({', '.join(DENSE)} or {QUERIES})")
     return head
-
-
-def _is_layer(name: object, tasks: ModuleType) -> bool:
-    if not isinstance(name, str):
-        return False
-    found = getattr(nn, name[3:], None) if name.startswith("nn.") else getattr(tasks, name, None)
-    own = ("torch.nn.", "ultralytics.nn.modules.")
-    return isinstance(found, type) and issubclass(found, nn.Module) and found.__module__.startswith(own)
 
 
 def _plain(value: object, depth: int = 0) -> bool:

@@ -59,7 +59,12 @@ def verify(
     images = torch.cat([images] * -(-BATCH // len(images)))[: max(BATCH, len(images))]
     subject = Subject(detector, images, original or original_of(detector))
     before = state_hash(detector)
-    findings = _in_turn(CHECKS | {"state": lambda s: _unchanged(s.detector, before)}, subject, on_check)
+
+    def state(subject: Subject) -> Finding:
+        same = state_hash(subject.detector) == before
+        return Finding(same, "unchanged, bit by bit" if same else "its parameters, buffers or train flags changed")
+
+    findings = _in_turn(CHECKS | {"state": state}, subject, on_check)
     figures = {key: value for finding in findings.values() for key, value in finding.figures.items()}
     family = detector.spec.partition(":")[0].partition("@")[0]
     return {
@@ -126,8 +131,3 @@ def _in_turn(
             cause = name
         on_check()
     return findings
-
-
-def _unchanged(detector: Detector, before: str) -> Finding:
-    same = state_hash(detector) == before
-    return Finding(same, "unchanged, bit by bit" if same else "its parameters, buffers or train flags changed")

@@ -57,8 +57,6 @@ def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
         raise InputError(f"harden {spec}: cannot train {family!r}, only {known}; {SOURCE}")
     try:
         detector = load_detector(spec, device=device, fold=False)
-        if isinstance(detector, OnnxDetector):
-            detector.weights.check(detector.path)
     except NotTrainable as error:
         raise InputError(f"harden {error}; {SOURCE}") from None
     kinds = {"builtin": DarknetStudent, "onnx": OnnxStudent, "python": PythonStudent, "ultralytics": UltralyticsStudent}
