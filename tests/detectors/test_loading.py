@@ -23,6 +23,14 @@ class Module(torch.nn.Module):
         return boxes, images.mean((1, 2, 3))[:, None] * self.scale
 def load():
     return Module()
+class Viewing(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("kernel", torch.randn(4, 3, 3, 3, generator=torch.Generator().manual_seed(0)))
+    def forward(self, images):
+        self.strides = images.stride()
+        scores = torch.conv2d(images, self.kernel).view(len(images), -1).sigmoid()
+        return torch.zeros(*scores.shape, 4), scores
 """
 
 
@@ -91,6 +99,18 @@ def test_python_module(module: Path) -> None:
     assert batch.grad is not None and batch.grad.abs().sum() > 0
     resized = load_detector(f"python:{module}:load@32")(images(2, 40, 60))
     torch.testing.assert_close(resized.boxes, found.boxes)
+
+
+def test_a_module_that_takes_views_gets_the_usual_memory_layout(module: Path) -> None:
+    detector, plain = (load_detector(f"python:{module}:Viewing", fold=fold) for fold in (True, False))
+    for _ in range(2):
+        torch.testing.assert_close(detector(images(2, 40, 60)).scores, plain(images(2, 40, 60)).scores)
+    assert detector.module.strides[1] == 40 * 60
+
+
+def test_a_function_that_is_not_there(module: Path) -> None:
+    with pytest.raises(InputError, match="has no function 'absent'"):
+        load_detector(f"python:{module}:absent")
 
 
 def test_state_hash_sees_everything(tmp_path: Path) -> None:
