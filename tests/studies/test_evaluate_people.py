@@ -1,16 +1,13 @@
 """A run judged on photographs, as on bodies: content decides what it was trained on, and the report shows it first."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.run_folder import RunFolder
-from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
@@ -21,7 +18,6 @@ from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.evaluate import read_evaluation
 from cloak_core.studies.opening import open_run, snapshot_pattern
-from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
 from cloak_core.studies.trainings.run_record import _people
 from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
@@ -47,43 +43,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def trained_on(path: Path) -> dict:
     """A config.json as far as photographs go."""
     return json.loads(json.dumps({"people": _people(fit_people(load_people(path)))}))
-
-
-def test_renamed_training_photographs_are_seen(path: Path, tmp_path: Path) -> None:
-    config = trained_on(f"{path}[0::2]")
-    assert photographs_seen_in_training(config, load_people(f"{path}[1::2]")) == ({"photographs": True}, [])
-    record = json.loads(path.read_text())
-    for image in record["images"]:
-        shutil.copy(path.with_name(image["file_name"]), tmp_path / f"new-{image['file_name']}")
-        image["file_name"] = f"new-{image['file_name']}"
-    (tmp_path / "list.json").write_text(json.dumps(record))
-    seen, warnings = photographs_seen_in_training(config, load_people(tmp_path / "list.json"))
-    assert seen == {"photographs": False}
-    assert "2 of the photographs were in the training set (new-made0.png, new-made2.png)" in warnings[0]
-
-
-def test_photographs_that_look_like_trained_ones_are_not_called_unseen(path: Path, tmp_path: Path) -> None:
-    config = trained_on(f"{path}[0:1]")
-    record = json.loads(path.read_text())
-    record["images"], record["annotations"] = record["images"][:1], record["annotations"][:1]
-    record["images"][0]["file_name"] = "saved.jpg"
-    Image.open(path.with_name("made0.png")).save(tmp_path / "saved.jpg", quality=80)
-    (tmp_path / "list.json").write_text(json.dumps(record))
-    seen, warnings = photographs_seen_in_training(config, load_people(tmp_path / "list.json"))
-    assert seen == {"photographs": None} and "saved.jpg like made0.png" in warnings[0]
-
-
-def test_a_copied_onnx_file_is_a_white_box(tmp_path: Path) -> None:
-    from tests.detectors.test_onnx import Made  # skips where there is no onnx
-
-    made = Made()
-    made.body()
-    made.head()
-    path = made.save(tmp_path / "made.onnx")
-    shutil.copy(path, tmp_path / "renamed.onnx")
-    known, copy = load_detector(f"onnx:{path}"), load_detector(f"onnx:{tmp_path / 'renamed.onnx'}")
-    config = {"detectors": [{"spec": known.spec} | detector_record(known)]}
-    assert trained_against(config, {copy.spec: copy}) == {copy.spec: True}
 
 
 def test_a_run_is_judged_on_people_and_reported(run: Path, path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -1,7 +1,6 @@
 """A run of a cloth that repeats: on the model as an image, as fine as it is printed; nothing is left when it is off."""
 
 import json
-import os
 from pathlib import Path
 
 import bpy
@@ -105,22 +104,6 @@ def test_the_cloth_is_saved_with_the_file_and_comes_off_after(clothed, tmp_path)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     assert leftovers() == ([], [], [])
-
-
-def test_live_colours_show_the_cloth_as_it_is_now(tmp_path):
-    obj = make_egg()
-    run = cloth_run(tmp_path, obj, np.arange(50), random_squares())
-    live = runs.LiveColors(obj, run)
-    assert live.update(bpy.context) and not live.update(bpy.context)
-    save_picture(run / "cloth.png", random_squares(5))
-    os.utime(run / "colors.npy", ns=(1, 1))
-    assert live.update(bpy.context)
-    pixels = pictures.image_pixels(colors.worn_cloth(obj.data)[0])
-    assert np.abs(pixels[::-1, :, :3] - random_squares(5)).max() < 1e-6
-    assert leftovers()[0] == ["cloak.cloth"]
-    colors.undress(obj)
-    os.utime(run / "colors.npy", ns=(2, 2))
-    assert live.update(bpy.context) and leftovers() == ([], [], []), "Show Original stays"
 
 
 def test_it_lies_as_in_the_first_pose_of_the_training(tmp_path):

@@ -1,7 +1,5 @@
 """Step 5: colours on the model, exact to 1/255 in a render, on exactly the right faces, and off again."""
 
-from types import SimpleNamespace
-
 import bpy
 import numpy as np
 import pytest
@@ -65,20 +63,6 @@ def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
     centers = np.array([p.center[:2] for p in obj.data.polygons])
     order = np.lexsort((centers[:, 0], np.round(centers[:, 1], 3)))
     assert np.abs(seen - wanted[order]).max() <= 1.001 / 255
-
-
-def test_agx_is_told_and_standard_offered():
-    scene = bpy.context.scene
-    scene.view_settings.view_transform = "AgX"
-    assert "'AgX' does not show the trained colours" in colors.view_transform_reason(scene)
-    bpy.ops.cloak.use_standard_view()
-    assert colors.view_transform_reason(scene) == ""
-    scene.view_settings.exposure = 0.5
-    assert "exposure" in colors.view_transform_reason(scene)
-    space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID", light="STUDIO"))
-    assert "Studio light" in colors.light_reason(space) and colors.light_reason(None) == ""
-    space.shading.light = "FLAT"
-    assert colors.light_reason(space) == ""
 
 
 def dressed_body(folder, ids=(3, 4, 50)):

@@ -10,9 +10,8 @@ from cloak.blender.mesh_arrays import topology
 from cloak.body.objects import logo_reason
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
-from cloak.logo import operators, overlay
-from cloak.logo.overlay import logo_stats
-from made import centers, make_egg, make_grid, select_only, set_mode
+from cloak.logo import operators
+from made import centers, make_egg, select_only, set_mode
 
 
 def test_a_logo_lives_through_edit_mode_saving_and_renaming(tmp_path):
@@ -49,18 +48,6 @@ def test_assign_remove_select(mode):
     assert np.array_equal(np.flatnonzero(faces.read_selection(obj)), np.arange(3, 20))
     bpy.ops.cloak.logo_remove()
     assert not faces.logo_names(obj.data)
-
-
-def test_figures():
-    obj = make_grid(5000)
-    obj.scale = (2, 2, 2)
-    bpy.context.view_layer.update()
-    mask = centers(obj)[:, 0] < 0
-    stats = logo_stats(overlay.worn_parts(obj, mask))
-    assert stats.faces == mask.sum() and stats.hidden == 0
-    assert stats.area_share == pytest.approx(mask.mean(), abs=0.01)
-    assert stats.projected_area == pytest.approx(16 * mask.mean(), rel=0.01)  # 4 m x 4 m, seen squarely
-    assert stats.whole_projected_area == pytest.approx(16, rel=0.01)
 
 
 def test_empty_and_foreign_logos_are_refused_by_name():

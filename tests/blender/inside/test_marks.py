@@ -4,7 +4,6 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces, marks
-from cloak.body import objects as body
 from cloak.logo.operators import show_heat
 from cloak.trainer import jobs
 from cloak.trainer.jobs import Job
@@ -150,13 +149,3 @@ def test_a_defect_in_one_job_is_shown_and_the_rest_goes_on(tmp_path, stub):
     assert (first.state, second.state, third.state) == ("failed", "done", "failed")
     assert "a defect of the add-on (KeyError" in first.message and str(first.log) in first.message
     assert "Traceback" in first.log.read_text()
-
-
-def test_subdividing_leaves_a_users_layers_of_our_helpers_names(tmp_path):
-    obj = make_egg(8)
-    obj.vertex_groups.new(name="cloak.original_face")
-    mine = obj.data.attributes.new("cloak.corner", "INT", "POINT")
-    mine.data.foreach_set("value", np.full(len(obj.data.vertices), 5, np.int32))
-    body.subdivide(obj)
-    assert obj.data.attributes["cloak.corner"].data[0].value == 5
-    assert marks.layer_name(obj.data, "original_face") == "cloak.original_face.001"

@@ -4,7 +4,6 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
 from cloak.poses.export import poses_reason
 from cloak.poses.poses import PoseChoice
@@ -75,21 +74,6 @@ def test_what_was_never_played_is_played(kind):
     bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)[0]
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
     assert bpy.context.scene.frame_current == 17
-
-
-def test_every_action_does_not_go_with_a_simulation():
-    obj = make_egg(8)
-    obj.shape_key_add(name="Basis")
-    key = obj.shape_key_add(name="Wide")
-    key.keyframe_insert("value", frame=1)
-    make_sheet(obj, "CLOTH")
-    actions = PoseChoice("ACTIONS")
-    assert "'Sheet' is simulated (Falls)" in poses_reason(bpy.context, actions)
-    assert not poses_reason(bpy.context, FRAMES)
-    with pytest.raises(InputError, match="choose Frame Range"):
-        scene_export.export_bodies(bpy.context, obj, actions)[0]
-    bpy.data.objects["Sheet"].modifiers["Falls"].show_viewport = False
-    assert not poses_reason(bpy.context, actions)
 
 
 @pytest.mark.skipif(not bpy.app.build_options.alembic, reason="this Blender was built without Alembic")

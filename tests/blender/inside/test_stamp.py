@@ -60,17 +60,6 @@ def test_laid_on_the_front_it_takes_what_the_stamp_from_the_front_takes(mode):
     assert taken(obj, "Smiley.001").sum() > taken(obj, "Smiley").sum()
 
 
-def test_it_takes_only_what_is_seen_from_its_side():
-    obj = make_egg(40)
-    bpy.context.scene.cloak.stamp_kind = "SMILEY"
-    bpy.ops.cloak.stamp_drag(place=(0, 0.25, 1), direction=(0, -1, 0), height=0.5)
-    assert (centers(obj)[taken(obj, "Smiley")][:, 1] > 0).all()
-    with pytest.raises(RuntimeError, match="covers no visible face"):
-        bpy.ops.cloak.stamp_drag(place=(5, 0, 1), height=0.5)
-    bpy.ops.cloak.stamp_drag(place=(0, 0, 1.8), direction=(0, 0, -1), height=0.5)  # from straight above
-    assert (centers(obj)[taken(obj, "Smiley.001")][:, 2] > 0.9).all()
-
-
 def test_what_lies_behind_something_else_is_not_taken():
     """A body with a plate before it: of what the stamp covers, the plate and what stands beside it."""
     obj = make_egg(40)
