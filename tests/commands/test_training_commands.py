@@ -138,3 +138,10 @@ def test_sweep(logo, tmp_path, capsys):
     (tmp_path / "grid.toml").write_text("[base]\n[grid]\ncolour = [1]\n")
     code, _, said = cloak(capsys, "sweep", "grid.toml", "--out", "other")
     assert code == 2 and said.count("\n") == 1 and "grid.toml" in said and not (tmp_path / "other").exists()
+
+
+@pytest.mark.slow
+def test_a_run_that_is_stopped_says_how_it_goes_on_and_an_empty_folder_is_taken(logo, tmp_path, capsys):
+    (tmp_path / "run").mkdir()
+    code, _, said = cloak(capsys, *train(logo, "--max-seconds", 1e-6))
+    assert code == 3 and "stopped at step 1: time budget; the same command with --resume goes on" in said

@@ -7,6 +7,7 @@ import torch
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.settings import make_settings
 from cloak_core.core.technique import Techniques
+from cloak_core.files.errors import InputError
 from cloak_core.techniques.inks import Inks
 from cloak_core.techniques.interpolate import Interpolate
 
@@ -37,3 +38,11 @@ def test_what_is_written_lies_between_the_first_colours_and_those_found(gamut):
 def test_inks_stay_few():
     colors, _ = moved(Interpolate(0.5), Inks(2))
     assert len(np.unique(colors.finished().numpy(), axis=0)) <= 2
+
+
+@pytest.mark.parametrize("initial", ["grey", "random", "clothing", "animal"])
+def test_only_a_print_is_worth_a_share(initial):
+    with pytest.raises(InputError, match=rf"--initial-share.*--initial {initial}.*--initial-share 0"):
+        make_settings("photographs", initial=initial)
+    assert make_settings("photographs", initial=initial, initial_share=0).optimization.initial_share == 0
+    assert make_settings("photographs", initial=initial, init="run").optimization.initial_share > 0

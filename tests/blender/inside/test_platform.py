@@ -121,3 +121,15 @@ def test_it_writes_into_no_folder_of_its_own():
     assert not user_folder("test").is_relative_to(own) and not runs.is_relative_to(own)
     assert not runs.is_relative_to(user_folder("")), "what was trained outlives the extension"
     assert not list(own.rglob("*.log"))
+
+
+FORBIDDEN_CALLS = {"print", "exec", "eval", "compile", "__import__"}
+
+
+def test_nothing_is_printed_evaluated_or_put_among_the_modules(trees):
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call):
+                assert getattr(node.func, "id", "") not in FORBIDDEN_CALLS, (name, node.lineno)
+            if isinstance(node, ast.Attribute) and node.attr in ("modules", "path") and name != "headless.py":
+                assert getattr(node.value, "id", "") != "sys", (name, node.lineno)

@@ -197,3 +197,13 @@ def test_a_list_of_nothing_is_refused(tmp_path):
     for spec, words in ((tmp_path / "list.txt", "holds one a line"), (tmp_path / "*.json", "no file has such a name")):
         with pytest.raises(InputError, match=words):
             load_people(spec)
+
+
+def test_a_photograph_with_nobody_to_dress_is_not_opened(tmp_path):
+    path = edit(write_people(tmp_path), lambda record: record["annotations"][1].update(iscrowd=1))
+    (tmp_path / "made1.png").unlink()
+    people = load_people(path)
+    assert len(people) == 1 and people.left_out == {"crowd": 1}
+    edit(path, lambda record: record["annotations"][0].update(iscrowd=1))
+    with pytest.raises(InputError, match=r"nobody in it can be dressed \(crowd 2\)"):
+        load_people(path)

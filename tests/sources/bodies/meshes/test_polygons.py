@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloak_core.core.polygons import triangulate
+from cloak_core.core.polygons import MAX_CORNERS, triangulate
+from cloak_core.files.errors import InputError
 
 
 def split(points: list, faces: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
@@ -62,3 +63,8 @@ def test_degenerate_polygons_still_give_their_number_of_triangles(points: np.nda
     triangles, _ = split(points, [list(range(7))])
     assert triangles.shape == (5, 3)
     assert (np.sort(triangles, axis=1)[:, 1:] != np.sort(triangles, axis=1)[:, :-1]).all()
+
+
+def test_absurd_polygons_are_refused() -> None:
+    with pytest.raises(InputError, match="corners"):
+        split(np.zeros((MAX_CORNERS + 1, 3)), [list(range(MAX_CORNERS + 1))])

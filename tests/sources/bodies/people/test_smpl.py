@@ -1,5 +1,6 @@
 """SMPL on random model files of the true shapes; with the `smplx` package at hand, against it."""
 
+import io
 import pickle
 import pickletools
 import sys
@@ -233,3 +234,11 @@ def test_poses_that_do_not_fit(tmp_path: Path, model_file: Path) -> None:
     for name, words in says.items():
         with pytest.raises(InputError, match=words):
             import_smpl(model_file, tmp_path / name)
+
+
+def test_calling_the_array_class_allocates_nothing(tmp_path: Path) -> None:
+    code = io.BytesIO()
+    code.write(b"\x80\x02cnumpy\nndarray\n" + b"(" + b"I99999999999\n" + b"t\x85R.")
+    (tmp_path / "m.pkl").write_bytes(code.getvalue())
+    with pytest.raises(InputError, match=r"m\.pkl"):
+        read_smpl(tmp_path / "m.pkl")
