@@ -18,7 +18,7 @@ check: .venv/.installed-test
 test: .venv/.installed-test .venv-blender/.installed
 	$(PYTEST) -m "not long"
 
-# Everything, also what is slow by nature; continuous integration runs it.
+# Everything, also what is slow by nature; .ci/run runs it.
 test-all: .venv/.installed-test .venv-blender/.installed
 	$(PYTEST)
 

@@ -71,7 +71,7 @@ def train(
     questions. `techniques`: of other packages, NAME or NAME:TEXT. `on_event` hears every event that goes to
     events.jsonl, in the calling thread; where it returns True, the run ends after the step. So do SIGINT (in the main
     thread), a file `cancel` in `out` and the time budget, with a checkpoint; `resume` goes on from there to the
-    bit-identical result.
+    result with the same bits, on the same device with the same number of threads.
 
     Returns how the run ended; its `colors` [L, 3] are sRGB in [0, 1], in the order of `logo.face_ids`. Raises
     InputError, naming it, for whatever cannot be read, does not fit together, or cannot be trained against; a run
