@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -18,6 +17,7 @@ from cloak_core.core.events import OnEvent
 from cloak_core.core.logo import Logo, load_logo
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.settings.values import Angles, from_plain
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.core.surroundings import plain_torch
 from cloak_core.core.training import RunResult
 from cloak_core.detectors.naming import full_spec
@@ -27,7 +27,6 @@ from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.sources.photographs.people import People, load_people
 from cloak_core.studies.figures import Figures
 from cloak_core.studies.trained_run import kept_back, read_run, trained_specs
 from cloak_core.studies.trainings.training import train as train_logo
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from cloak_core.core.evaluation.measure import OnProgress
     from cloak_core.core.evaluation.settings import FilmSettings, WearSettings
     from cloak_core.core.pattern import Pattern
+    from cloak_core.sources.photographs.people import People
 
 T = TypeVar("T")
 Named = str | os.PathLike
@@ -77,17 +77,13 @@ def train(
     InputError, naming it, for whatever cannot be read, does not fit together, or cannot be trained against; a run
     folder that exists and is not resumed is refused.
     """
-    if people is not None and settings is None:
-        changes.setdefault("preset", "photographs")
-    settings = _either(settings, changes, make_settings)
-    if people is None and scene is None:
-        raise InputError("--scene: none given, and no --people")
-    from cloak_core.sources.photographs.fits import fit_people
-
     named = {"scene": scene, "logo": logo, "backgrounds": backgrounds, "people": people}
-    fits = [] if people is None else fit_people(_photographed(people))
+    cast = cast_of(people)
+    if settings is None:
+        changes = {"preset": cast.preset()} | changes
+    settings = _either(settings, changes, make_settings)
     if scene is None:
-        scene, settings = "sample:train", settings.changed(people_share=1.0)
+        scene, settings = "sample:train", cast.alone(settings)
     bodies = _bodies(scene)
     return train_logo(
         settings,
@@ -100,7 +96,7 @@ def train(
         on_event=None if on_event is None else _stopping(on_event, Path(out)),
         inputs={key: str(value) for key, value in named.items() if isinstance(value, Named)} | dict(inputs or {}),
         query_prior=as_detectors(query_prior, settings.compute.device),
-        people=fits,
+        people=cast,
         techniques=techniques,
     )
 
@@ -160,36 +156,29 @@ def evaluate(
     judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
     if people is None:
         bodies = _bodies(scene or kept_back("scene", config))
-        pattern, trained, name = open_run(folder, config, colors, bodies, logo)
         behind = _backdrops(backgrounds or kept_back("backgrounds", config))
         angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
-        show = partial(study.show_bodies, bodies=bodies, backgrounds=behind, angles=angles)
-        place, curve = study.FOLDER, "curve"
+        judged = study.OnBodies(bodies, behind, angles)
     else:
         if scene is not None or settings.cycles is not None:
             raise InputError("--people: photographs are what is judged on: without --scene and --cycles")
-        pattern, trained, name = open_run(folder, config, colors, logo=logo)
-        show = partial(
-            study.show_people, people=_photographed(people), backgrounds=_backdrops(backgrounds or "procedural:test")
-        )
-        place, curve = study.PEOPLE_FOLDER, "curve-people"
-    parts = [place, name, "printed" if profile is not None else "", settings.cycles or ""]
+        judged = study.OnPeople(cast_of(people), _backdrops(backgrounds or "procedural:test"))
+    pattern, trained, name = open_run(folder, config, colors, judged.bodies, logo)
+    parts = [judged.folder, name, "printed" if profile is not None else "", settings.cycles or ""]
     target = folder / "-".join(part for part in parts if part) if out is None else Path(out)
 
     def judge(worn: Pattern, how: EvaluateSettings, training: dict | None, out: Path | None) -> dict:
-        what = show(worn, detectors=judges, settings=how, training=training)
+        what = judged.show(worn, judges, how, training)
         return study.evaluate(what, judges, how, out=out, on_progress=on_progress)
 
     worn = pattern if profile is None else printed(pattern, read_profile(profile))
-    summary = judge(worn, settings, trained, target)
-    if people is not None:
-        summary["out"] = str(target)
+    summary = judge(worn, settings, trained, target) | judged.told(target)
     if over_time:
         summary["over_time"] = study.over_time(
             folder,
             lambda path, bare: judge(snapshot_pattern(folder, path, pattern.cover), bare, None, None),
             settings,
-            curve,
+            judged.curve,
         )
     return Figures(summary)
 
@@ -198,8 +187,15 @@ def _backdrops(backgrounds: Backgrounds | Named) -> Backgrounds:
     return backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds)
 
 
-def _photographed(people: People | Named, images: Named | None = None) -> People:
-    return people if isinstance(people, People) else load_people(people, images)
+def cast_of(people: People | Named | None, images: Named | None = None) -> Cast:
+    """Make what shows people in photographs: loaded ones, or those of a COCO file; None: nobody. InputError."""
+    if people is None:
+        return NOBODY
+    # Whoever shows bodies alone needs nothing of photographs.
+    from cloak_core.sources.photographs.crowd import Crowd
+    from cloak_core.sources.photographs.people import load_people
+
+    return Crowd(load_people(people, images) if isinstance(people, Named) else people)
 
 
 def _bodies(scene: Bodies | Named) -> Bodies:
@@ -279,8 +275,8 @@ def wear(
     settings = _either(settings, changes, WearSettings)
     given = [os.fspath(color) for color in ([colors] if isinstance(colors, str | os.PathLike) else colors)]
     scenes = _backdrops(backgrounds)
-    judging = (_photographed(people, images), _by_name(detectors, device))
-    choosing = None if width_people is None else _photographed(width_people, images)
+    judging = (cast_of(people, images), _by_name(detectors, device))
+    choosing = cast_of(width_people, images)
     choosers = _by_name(width_detectors, device) if len(width_detectors) else {}
     colors, widths = choose_widths(given, choosing, choosers, judging, scenes, settings, on_progress, logo)
     more = {"widths": widths} if widths else None

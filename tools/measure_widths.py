@@ -19,7 +19,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import write_json
-from cloak_core.library import load_people
+from cloak_core.library import cast_of
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.wearing.widths import AUTO, WIDTHS, width_curve
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--detector", action="append", required=True)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    detectors, people = {spec: load_detector(spec) for spec in given.detector}, load_people(given.people)
+    detectors, people = {spec: load_detector(spec) for spec in given.detector}, cast_of(given.people)
     given.out.mkdir(parents=True, exist_ok=True)
     kept = given.out / "widths.json"
     record = read_json(kept) if kept.exists() else {}

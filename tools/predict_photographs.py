@@ -24,10 +24,10 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
-from cloak_core.library import load_people
+from cloak_core.library import cast_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.studies.evaluate import evaluate, show_bodies
+from cloak_core.studies.evaluate import OnBodies, evaluate
 from cloak_core.studies.opening import CLOTHES, FLIPPED, open_pattern, open_run
 from cloak_core.studies.trained_run import kept_back, read_run
 from cloak_core.studies.wearing.wearing import wear_and_judge
@@ -70,7 +70,7 @@ def on_renders(
     found = {what: {} for what in ("logo", *controls)}
     for name, (angles, changes) in RENDERS.items():
         settings = EvaluateSettings(images_per_view=1, controls=controls, bare=1, resamples=100, **changes)
-        shown = show_bodies(pattern, bodies, backgrounds, detectors, angles, settings)
+        shown = OnBodies(bodies, backgrounds, angles).show(pattern, detectors, settings)
         summary = evaluate(shown, detectors, settings, out=out / "evaluation" if settings.cycles else None)
         for what, said in found.items():
             said[name] = rates(summary, what)
@@ -107,7 +107,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     seen = given.out / "photographs.json"
     if not seen.exists():
-        write_json(seen, wear_and_judge(given.colors, load_people(given.people), detectors, backgrounds))
+        write_json(seen, wear_and_judge(given.colors, cast_of(given.people), detectors, backgrounds))
     photographs, textures = read_json(seen), {}
     for number, spec in enumerate(given.colors):
         name, kept = open_pattern(spec)[2], given.out / f"{number}.json"

@@ -34,7 +34,7 @@ from cloak_core.jobs.job import Tell
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.view_cache import ViewCache
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.pace import in_turn
 
@@ -116,8 +116,8 @@ def _step(material: Material) -> dict:
         steps[name] = run_bench_step(bodies, detectors, backgrounds, settings=settings)
     if material.people is not None:
         settings = make_settings("photographs", batch=8, device=DEVICE)
-        fits = fit_people(load_people(material.people, material.images))
-        steps["people"] = run_bench_step(bodies, detectors, backgrounds, settings=settings, people=fits)
+        people = Crowd(load_people(material.people, material.images))
+        steps["people"] = run_bench_step(bodies, detectors, backgrounds, settings=settings, people=people)
     return steps
 
 

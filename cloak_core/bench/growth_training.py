@@ -21,10 +21,9 @@ from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.annotation import BLAZEPOSE
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import People, Person, load_people
 from cloak_core.studies.coco import run_lengths
-from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import clothes_cover
 
 BATCH = 8
@@ -59,13 +58,14 @@ def grow_people(count: int, people: str, images: Path | None) -> dict[str, float
         os.environ["CLOAK_CACHE"] = str(Path(folder, "cache"))
         everybody = timed("read_s", lambda: load_people(listed))
         timed("again_s", lambda: load_people(listed))
-        fits = timed("fit_s", lambda: fit_people(everybody))
+        crowd = Crowd(everybody)
+        fits = timed("fit_s", lambda: crowd.fits)
         stored = sum(path.stat().st_size for path in Path(folder, "cache", "fits").iterdir())
         settings = make_settings("photographs", batch=BATCH, size=SIZE, steps=1000)
-        bench = Bench(load_scene("sample[0:1]"), None, load_backgrounds("procedural:train:8"), settings, fits)
+        bench = Bench(load_scene("sample[0:1]"), None, load_backgrounds("procedural:train:8"), settings, crowd)
         step = bench.measure([load_detector("builtin")], STEPS)
         grey = controls(("grey",), OwnClothing(clothes_cover()))["grey"]
-        shown = people_images(fits, load_backgrounds("procedural:test:1"), WearSettings(size=SIZE))
+        shown = crowd.images(load_backgrounds("procedural:test:1"), WearSettings(size=SIZE))
         some = np.linspace(0, len(fits) - 1, min(WORN, len(fits))).astype(int).tolist()
         timed("wear_s", lambda: [shown.render([k], grey) for k in some])
         seconds["wear_s"] *= len(fits) / len(some)

@@ -24,13 +24,13 @@ from cloak_core.core.objective import Objective, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.jobs.job import Tell
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan
-from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.studies.pace import in_turn
 from cloak_core.studies.trainings.run_record import Training
 from cloak_core.studies.trainings.training import make_source
@@ -46,7 +46,7 @@ def run_bench_step(
     *,
     logo_faces: np.ndarray | None = None,
     settings: TrainSettings | None = None,
-    people: Sequence[Fit] = (),
+    people: Cast = NOBODY,
     threads: int = 2,
     repeats: int = 20,
     tell: Tell = _log.info,
@@ -65,7 +65,7 @@ def run_bench_step(
     detector before it is timed.
     """
     check_counts(repeats, threads)
-    settings = settings or make_settings("photographs" if people else "best")
+    settings = settings or make_settings(people.preset())
     with torch_threads(threads):
         tell("building views that the clock does not count")
         bench = Bench(bodies, logo_faces, backgrounds, settings, people)
@@ -91,7 +91,7 @@ class Bench:
         logo_faces: np.ndarray | None,
         backgrounds: Backgrounds,
         settings: TrainSettings,
-        people: Sequence[Fit] = (),
+        people: Cast = NOBODY,
     ) -> None:
         """Make its views; arguments as `run_bench_step` has them."""
         self.settings = settings = settings.changed(epochs=None, steps=1_000_000)
@@ -100,7 +100,7 @@ class Bench:
             logo_faces = shirt_trousers(bodies) if people else chest_and_thighs(bodies)
         self.logo = make_logo(bodies, logo_faces)
         self.pattern = pattern_of(settings.pattern, bodies, self.logo)
-        source = make_source(Training(settings, bodies, self.logo, (), backgrounds, people), self.device)
+        source = make_source(Training(settings, bodies, self.logo, (), backgrounds, people))
         self.is_fresh = source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
         sampler = Sampler(settings, source, len(backgrounds))
         self.batcher = Batcher(settings, sampler, backgrounds, self.pattern, self.device)

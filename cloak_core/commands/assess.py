@@ -16,7 +16,7 @@ from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
-    from cloak_core.sources.photographs.people import People
+    from cloak_core.core.source import Cast
     from cloak_core.studies.card.assess import Assessment
     from cloak_core.studies.card.gate import Bound
     from cloak_core.studies.card.protocol import Size
@@ -139,7 +139,7 @@ class Assess(Splitting, Detecting, Sharing):
 
         self.prepare()
         specs, patterns = tuple(dict.fromkeys(self.specs)), self._patterns()
-        people, names, bounds = self.load_people(), folder_names(specs), self._bounds()
+        people, names, bounds = self.cast(), folder_names(specs), self._bounds()
         assessments = {
             names[spec]: self._choose(spec, detector, self.out / names[spec], people, patterns)
             for spec, detector in self.by_spec(specs).items()
@@ -149,7 +149,7 @@ class Assess(Splitting, Detecting, Sharing):
         return {name: assessment.run() for name, assessment in assessments.items()}
 
     def _choose(
-        self, spec: str, detector: Detector, folder: Path, people: People | None, patterns: tuple[str, ...]
+        self, spec: str, detector: Detector, folder: Path, people: Cast, patterns: tuple[str, ...]
     ) -> Assessment:
         """Take the largest size that fits into the time, if one is given, and say how long it will take.
 

@@ -95,16 +95,15 @@ class Step(Photographed, Timed):
         from cloak_core.core.settings import make_settings
         from cloak_core.detectors.loading import load_detector
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
-        from cloak_core.sources.photographs.fits import fit_people
 
         keep_freed_memory()
-        people = fit_people(self.load_people()) if self.people else ()
+        people = self.cast()
         result = run_bench_step(
             load_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
             load_backgrounds(self.backgrounds),
             settings=make_settings(
-                "photographs" if people else "best",
+                people.preset(),
                 batch=self.batch,
                 distance=self.distance,
                 device=self.device,

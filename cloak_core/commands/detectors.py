@@ -64,7 +64,7 @@ class Check(Photographed, Detecting):
         if self.people is not None:
             from cloak_core.studies.clean import check_people
 
-            return check_people(self.load(self.spec), self.load_people())
+            return check_people(self.load(self.spec), self.cast())
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds

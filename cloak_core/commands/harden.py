@@ -69,7 +69,7 @@ class Harden(Photographed, Computing):
         if not self.backgrounds.startswith("procedural"):
             check_places(backgrounds, student.teacher, self.settings.size, self.backgrounds)
         photographs = None if self.photos is None else load_backgrounds(self.photos)
-        material = Material(bodies, backgrounds, photographs, self.load_people())
+        material = Material(bodies, backgrounds, photographs, self.cast())
         settings = self._planned(student, material)
         with TrainingProgress(label="hardening") as progress:
             result = harden(settings, student, material, self.out, resume=self.resume, on_event=progress)

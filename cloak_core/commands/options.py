@@ -22,6 +22,7 @@ from cloak_core.files.errors import first_line
 
 if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
+    from cloak_core.core.source import Cast
     from cloak_core.sources.photographs.people import People
     from cloak_core.studies.store import DataSplit
 
@@ -172,9 +173,17 @@ class Photographed(Command):
 
     def load_people(self) -> People | None:
         """Read the people; None: none are named. InputError: they cannot be read."""
+        if not self.people:
+            return None
         from cloak_core.sources.photographs.people import load_people
 
-        return load_people(self.people, self.images) if self.people else None
+        return load_people(self.people, self.images)
+
+    def cast(self) -> Cast:
+        """Make what shows the people, nobody where none are named. InputError: they cannot be read."""
+        from cloak_core.library import cast_of
+
+        return cast_of(self.people, self.images)
 
 
 @dataclass(kw_only=True)
@@ -191,6 +200,7 @@ class Splitting(Photographed):
 
     def split(self, detectors: dict[str, Detector], with_people: bool = True) -> DataSplit:
         """Open the material and split it. InputError: something cannot be opened, or is too little to split."""
+        from cloak_core.core.source import NOBODY
         from cloak_core.studies.store import open_data_split
 
         return open_data_split(
@@ -199,5 +209,5 @@ class Splitting(Photographed):
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
-            people=self.load_people() if with_people else None,
+            people=self.cast() if with_people else NOBODY,
         )

@@ -11,8 +11,11 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
+from cloak_core.core.evaluation.controls import NATURAL
 from cloak_core.core.pattern import Pattern
+from cloak_core.core.settings import TrainSettings
 from cloak_core.core.view import BakedView
+from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 
 _CHOICE = 4
@@ -64,6 +67,10 @@ class Source(Plan, Protocol):
         """
         ...
 
+    def require_visible(self, pattern: Pattern) -> None:
+        """Require that training can show what is worn. InputError: no view of its plan does."""
+        ...
+
 
 @runtime_checkable
 class Backdrops(Protocol):
@@ -107,3 +114,58 @@ class Mixture:
     def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         """See `Source`."""
         return (self.second if shown["second"] else self.first).view(shown, seed, pattern)
+
+    def require_visible(self, pattern: Pattern) -> None:
+        """See `Source`."""
+        if self.rate < 1:
+            self.first.require_visible(pattern)
+        self.second.require_visible(pattern)
+
+
+class Cast:
+    """Who is shown beside the bodies of a training, or in their place. This is nobody; a source's own cast overrides.
+
+    It makes its own views and says for itself how a run records it.
+    """
+
+    identity: str | None = None
+    """SHA-256 (hex) of all of them."""
+    natural: tuple[str, ...] = NATURAL
+    """Controls that experiments ask for beside the standard ones; those that are drawn on bodies."""
+
+    def __len__(self) -> int:
+        return 0
+
+    def first(self, count: int) -> Cast:
+        """Take the first of them."""
+        return self
+
+    def preset(self, of_bodies: str = "best") -> str:
+        """Name the preset of a training with them; of_bodies: the one that bodies alone would have."""
+        return of_bodies
+
+    def alone(self, settings: TrainSettings) -> TrainSettings:
+        """Settings in which no bodies are shown. InputError: then nobody is."""
+        raise InputError("--scene: none given, and no --people")
+
+    def beside(self, bodies: Source, settings: TrainSettings, device: torch.device) -> Source:
+        """Make what shows both, as often as the settings say."""
+        return bodies
+
+    def require_topology(self, topology: str) -> None:
+        """Require that what is worn on faces of this topology can be shown. InputError."""
+
+    def record(self) -> dict | None:
+        """Describe by content and by name who is shown, for a run's config.json, so that others can be told apart."""
+        return None
+
+    def summary(self, key: str) -> dict[str, dict]:
+        """Describe them under this key by their numbers and their content; {} of nobody."""
+        return {}
+
+    def halves(self) -> tuple[Cast, Cast]:
+        """Part them into those who train and those who judge. InputError: they cannot be parted."""
+        return self, self
+
+
+NOBODY = Cast()

@@ -36,9 +36,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.backdrops.backgrounds import SUFFIXES, Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.sources.photographs.people import People
-from cloak_core.studies.imagery import body_images, people_images
+from cloak_core.sources.photographs.crowd import Crowd
+from cloak_core.studies.imagery import body_images
 from cloak_core.studies.opening import clothes_cover
 
 SHIFT = (50, 20)
@@ -86,13 +85,13 @@ def check_scene(
     }
 
 
-def check_people(detector: Detector, people: People) -> dict:
+def check_people(detector: Detector, people: Crowd) -> dict:
     """Measure recall on people in photographs as they are, in the crops of `cloak wear`.
 
     Returns {"clean_recall": share with a box on them above 0.6, "clean_recall_own", "operating_point",
     "operating_point_assumed", "n": people}, and `certified_recall`.
     """
-    images = people_images(fit_people(people), load_backgrounds("procedural:test:1"), WearSettings(), detector.device)
+    images = people.images(load_backgrounds("procedural:test:1"), WearSettings(), detector.device)
     return _check(detector, images, OwnClothing(clothes_cover()), "score_on")[0]
 
 

@@ -11,8 +11,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING, ClassVar
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluate import Patterns, headline, identity
@@ -30,19 +29,23 @@ from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.patterns.controls import controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.people import People
-from cloak_core.sources.photographs.source import fit_wearers
 from cloak_core.studies.cycles import in_cycles
 from cloak_core.studies.film import write_turntable
-from cloak_core.studies.imagery import drawn_images, flat_views, people_images
+from cloak_core.studies.imagery import drawn_images, flat_views
 from cloak_core.studies.report.pictures import write_flat, write_pictures
 from cloak_core.studies.report.plots import success_over_time
 from cloak_core.studies.report.stored import check_stored
 from cloak_core.studies.report.style import save_figure, style
 from cloak_core.studies.trained_run import photographs_seen_in_training, seen_in_training, trained_against
 
+if TYPE_CHECKING:
+    from cloak_core.sources.photographs.crowd import Crowd
+
 _log = logging.getLogger("cloak")
+
+
+FOLDER, PEOPLE_FOLDER = "evaluation", "evaluation-people"
+"""Names of the folders inside a run: of bodies, and of people in photographs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,95 +60,116 @@ class Shown:
     """Draws further pictures into a folder, of a trial, with what detectors report above a threshold."""
 
 
-def show_bodies(
-    pattern: Pattern,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
-    detectors: Mapping[str, Detector],
-    angles: Sequence[float],
-    settings: EvaluateSettings,
-    training: dict | None = None,
-) -> Shown:
-    """Make what is evaluated of a pattern on bodies. angles: azimuths, degrees.
+@dataclass(frozen=True, eq=False)
+class OnBodies:
+    """Bodies before backgrounds, on whom a pattern is judged."""
 
-    `training` tells what the colours were trained on (a run's config.json) and fills `unseen` and `white_box` (by
-    detector, whether it was trained against). InputError: nobody to judge it, or the pattern is another mesh's.
-    """
-    check_asked(detectors, angles)
-    device = next(iter(detectors.values())).device
-    names = dict.fromkeys((CLOTHING, *settings.controls))
-    patterns = {LOGO: pattern} | controls(tuple(names), pattern, settings.seed, bodies)
-    images = drawn_images(bodies, backgrounds, angles, settings, device, patterns.values())
-    unseen, warnings = seen_in_training(training, bodies, backgrounds)
-    inputs = {
-        "bodies": list(images.body_names),
-        "scene": bodies.name,
-        "topology": bodies.topology,
-        "backgrounds": len(backgrounds),
-        "logo_faces": len(pattern.cover),
-        "pattern": pattern.identity,
-    }
-    circumstances = {
-        "cover": pattern.cover.name,
-        "settings": asdict(settings) | {"angles": [float(a) for a in angles]},
-        "inputs": inputs,
-    }
-    circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
+    bodies: Bodies
+    backgrounds: Backgrounds
+    angles: Sequence[float]
+    """Azimuths, degrees."""
+    folder: ClassVar[str] = FOLDER
+    """Name of the evaluation's folder inside a run."""
+    curve: ClassVar[str] = "curve"
+    """Name of the files inside a run that hold success over time."""
 
-    def draw_more(folder: Path, trial: int, detectors: Mapping[str, Detector], threshold: float) -> dict:
-        flat = flat_views(bodies, pattern, device=device)
-        shown = {"flat": {side: write_flat(folder, side, rgba) for side, rgba in flat.items()}}
-        turntable = folder / "turntable.gif"
-        if settings.cycles is None and write_turntable(turntable, images, patterns, trial, detectors, threshold):
-            shown["turntable"] = turntable.name
-        return shown
+    def told(self, out: Path) -> dict:
+        """Say what the result of a call holds beside the summary in `out`."""
+        return {}
 
-    return Shown(images, patterns, circumstances, draw_more)
+    def show(
+        self,
+        pattern: Pattern,
+        detectors: Mapping[str, Detector],
+        settings: EvaluateSettings,
+        training: dict | None = None,
+    ) -> Shown:
+        """Make what is evaluated of a pattern.
+
+        `training` tells what the colours were trained on (a run's config.json) and fills `unseen` and `white_box` (by
+        detector, whether it was trained against). InputError: nobody to judge it, or the pattern is another mesh's.
+        """
+        bodies, backgrounds, angles = self.bodies, self.backgrounds, self.angles
+        check_asked(detectors, angles)
+        device = next(iter(detectors.values())).device
+        names = dict.fromkeys((CLOTHING, *settings.controls))
+        patterns = {LOGO: pattern} | controls(tuple(names), pattern, settings.seed, bodies)
+        images = drawn_images(bodies, backgrounds, angles, settings, device, patterns.values())
+        unseen, warnings = seen_in_training(training, bodies, backgrounds)
+        inputs = {
+            "bodies": list(images.body_names),
+            "scene": bodies.name,
+            "topology": bodies.topology,
+            "backgrounds": len(backgrounds),
+            "logo_faces": len(pattern.cover),
+            "pattern": pattern.identity,
+        }
+        circumstances = {
+            "cover": pattern.cover.name,
+            "settings": asdict(settings) | {"angles": [float(a) for a in angles]},
+            "inputs": inputs,
+        }
+        circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
+
+        def draw_more(folder: Path, trial: int, detectors: Mapping[str, Detector], threshold: float) -> dict:
+            flat = flat_views(bodies, pattern, device=device)
+            shown = {"flat": {side: write_flat(folder, side, rgba) for side, rgba in flat.items()}}
+            turntable = folder / "turntable.gif"
+            if settings.cycles is None and write_turntable(turntable, images, patterns, trial, detectors, threshold):
+                shown["turntable"] = turntable.name
+            return shown
+
+        return Shown(images, patterns, circumstances, draw_more)
 
 
 PEOPLE_SETTINGS = ("size", "threshold", "bare", "resamples", "batch", "seed")
 """The evaluation settings that decide figures of photographs."""
 
 
-def show_people(
-    pattern: Pattern,
-    people: People,
-    backgrounds: Backgrounds,
-    detectors: Mapping[str, Detector],
-    settings: EvaluateSettings,
-    training: dict | None = None,
-) -> Shown:
-    """Make what is evaluated of a pattern on people in photographs; see `show_bodies`.
+@dataclass(frozen=True, eq=False)
+class OnPeople:
+    """People in photographs, on whom a pattern is judged; all else as `OnBodies` has it."""
 
-    Beside C6's keys the summary has people, photographs, left_out, and fit (means over the people's fits).
-    """
-    check_asked(detectors)
-    shown, fits = fit_wearers(people, [pattern])
-    framing = WearSettings(size=settings.size)
-    # What dressing alone does is among the controls.
-    names = dict.fromkeys((CLOTHING, *settings.controls, *([RESAMPLED] if settings.controls else [])))
-    patterns = {LOGO: pattern} | controls(tuple(names), pattern, settings.seed)
-    images = people_images(fits, backgrounds, framing, next(iter(detectors.values())).device)
-    unseen, warnings = photographs_seen_in_training(training, people)
-    counts = {"people": len(shown), "photographs": len(shown.photographs)}
-    circumstances = counts | {
-        "cover": pattern.cover.name,
-        "left_out": shown.left_out,
-        "fit": mean_quality(fits),
-        "settings": {key: getattr(settings, key) for key in PEOPLE_SETTINGS}
-        | {"context": framing.context, "controls": list(names)},
-        "inputs": counts | {"backgrounds": len(backgrounds)},
-        "unseen": unseen,
-        "white_box": trained_against(training, detectors),
-        "warnings": warnings,
-    }
-    return Shown(images, patterns, circumstances)
+    crowd: Crowd
+    backgrounds: Backgrounds
+    bodies: ClassVar[None] = None
+    folder: ClassVar[str] = PEOPLE_FOLDER
+    curve: ClassVar[str] = "curve-people"
 
+    def told(self, out: Path) -> dict:
+        """See `OnBodies`."""
+        return {"out": str(out)}
 
-def mean_quality(fits: Sequence[Fit]) -> dict[str, float]:
-    """Average the quality of people's fits."""
-    qualities = [fit.quality for fit in fits]
-    return {key: round(float(np.mean([one[key] for one in qualities])), 4) for key in sorted(qualities[0])}
+    def show(
+        self,
+        pattern: Pattern,
+        detectors: Mapping[str, Detector],
+        settings: EvaluateSettings,
+        training: dict | None = None,
+    ) -> Shown:
+        """See `OnBodies`. Beside C6's keys the summary has people, photographs, left_out, and fit (means over fits)."""
+        check_asked(detectors)
+        worn = self.crowd.wearers([pattern])
+        shown = worn.people
+        framing = WearSettings(size=settings.size)
+        # What dressing alone does is among the controls.
+        names = dict.fromkeys((CLOTHING, *settings.controls, *([RESAMPLED] if settings.controls else [])))
+        patterns = {LOGO: pattern} | controls(tuple(names), pattern, settings.seed)
+        images = worn.images(self.backgrounds, framing, next(iter(detectors.values())).device)
+        unseen, warnings = photographs_seen_in_training(training, self.crowd.pictures())
+        counts = {"people": len(shown), "photographs": len(shown.photographs)}
+        circumstances = counts | {
+            "cover": pattern.cover.name,
+            "left_out": shown.left_out,
+            "fit": worn.quality(),
+            "settings": {key: getattr(settings, key) for key in PEOPLE_SETTINGS}
+            | {"context": framing.context, "controls": list(names)},
+            "inputs": counts | {"backgrounds": len(self.backgrounds)},
+            "unseen": unseen,
+            "white_box": trained_against(training, detectors),
+            "warnings": warnings,
+        }
+        return Shown(images, patterns, circumstances)
 
 
 def evaluate(
@@ -195,9 +219,6 @@ def _finished(folder: Path, content: str | None) -> dict | None:
 
 
 # --- the folder of an evaluation
-
-FOLDER, PEOPLE_FOLDER = "evaluation", "evaluation-people"
-"""Names of the folders inside a run: of bodies, and of people in photographs."""
 
 
 @dataclass(frozen=True)

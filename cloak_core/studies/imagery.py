@@ -1,17 +1,16 @@
-"""Sets of images that are judged: bodies before backgrounds, and people in photographs."""
+"""Sets of images of bodies before backgrounds, which are judged."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.cameras import Camera
-from cloak_core.core.evaluation.settings import EvaluateSettings, WearSettings
+from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.core.images import ImageSet, dressed
 from cloak_core.core.paint import blank
@@ -22,11 +21,6 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodySource, check_topology
-from cloak_core.sources.photographs.fits import Fits
-from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.posing import seen_from
-from cloak_core.sources.photographs.rig import body_rig
-from cloak_core.sources.photographs.source import PeopleSource
 
 SIDES = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
 """Azimuths of the flat views, degrees; left and right are the body's own."""
@@ -70,24 +64,6 @@ def drawn_images(
 def _require_some(backgrounds: Backgrounds) -> None:
     if not len(backgrounds):
         raise InputError("no background to evaluate on")
-
-
-def people_images(
-    fits: Sequence[Fit], backgrounds: Backgrounds, settings: WearSettings, device: torch.device | str = "cpu"
-) -> ImageSet:
-    """Make an image of each fitted person, and of backgrounds without people."""
-    people, rig = Fits.of(fits).people, body_rig()
-    trials = pd.DataFrame(
-        {
-            "pose": np.arange(len(people)),
-            "photograph": [person.photograph for person in people],
-            "seen_from": [seen_from(person.landmarks, rig) for person in people],
-        }
-    )
-    source = PeopleSource(fits, settings.size, context=settings.context, device=device)
-    size = settings.size, settings.size
-    names = tuple(person.name for person in people)
-    return ImageSet(source, backgrounds, size, device, trials, names, tuple(backgrounds.names))
 
 
 def before_grey(

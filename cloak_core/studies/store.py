@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from jaxtyping import Int64
 
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.evaluate import Patterns, identity, measure_frozen
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO, NATURAL, RESAMPLED, STANDARD
+from cloak_core.core.evaluation.controls import CLOTHING, LOGO, RESAMPLED, STANDARD
 from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.evaluation.results import Results, pool, read_results
 from cloak_core.core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings
@@ -24,6 +23,7 @@ from cloak_core.core.images import ImageSet, Indices
 from cloak_core.core.logo import make_logo
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
@@ -31,10 +31,7 @@ from cloak_core.files.writing import new_folder, write_json
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.sources.photographs.fits import NOBODY, Fits, fit_people, people_identity
-from cloak_core.sources.photographs.people import People
-from cloak_core.sources.photographs.source import fit_wearers
-from cloak_core.studies.imagery import drawn_images, people_images
+from cloak_core.studies.imagery import drawn_images
 from cloak_core.studies.opening import clothes_cover
 from cloak_core.studies.report.words import short_name
 from cloak_core.studies.trained_run import EMBEDDED
@@ -51,9 +48,9 @@ class DataSplit:
     backgrounds: Backgrounds
     unseen_backgrounds: Backgrounds
     detectors: dict[str, Detector]
-    people: People | None = None
+    people: Cast = NOBODY
     """In photographs: where there are any, training sees them beside the bodies, and `unseen_people` judge."""
-    unseen_people: People | None = None
+    unseen_people: Cast = NOBODY
 
     def __post_init__(self) -> None:
         if self.bodies.topology != self.unseen.topology:
@@ -67,17 +64,11 @@ class DataSplit:
         """Describe the split for a configuration: names, counts and content hashes."""
         bodies = {"bodies": self.bodies, "unseen": self.unseen}
         backgrounds = {"backgrounds": self.backgrounds, "unseen_backgrounds": self.unseen_backgrounds}
-        people = {"people": self.people, "unseen_people": self.unseen_people}
         record = {name: scene_counts(each) | {"sha256": each.identity} for name, each in bodies.items()}
         for name, each in backgrounds.items():
             record[name] = {"count": len(each), "sha256": sha256_record(each.identities())}
         record["detectors"] = {spec: sha256_record(detector_record(d)) for spec, d in self.detectors.items()}
-        return record | {name: people_record(each) for name, each in people.items() if each is not None}
-
-
-def people_record(people: People) -> dict:
-    """Describe people in photographs: their numbers and the content hash."""
-    return {"count": len(people), "photographs": len(people.photographs), "sha256": people_identity(people)}
+        return record | self.people.summary("people") | self.unseen_people.summary("unseen_people")
 
 
 def open_data_split(
@@ -87,7 +78,7 @@ def open_data_split(
     unseen: str | None = None,
     backgrounds: str = "procedural",
     unseen_backgrounds: str | None = None,
-    people: People | None = None,
+    people: Cast = NOBODY,
 ) -> DataSplit:
     """Open scenes and backgrounds by spec and split them for these detectors.
 
@@ -105,8 +96,7 @@ def open_data_split(
         if len(every) < 2:
             raise InputError(f"{backgrounds}: one background cannot be both trained on and unseen")
         behind = every.split(2, 0), every.split(2, 1)
-    halves = () if people is None else people.halves()
-    return DataSplit(*_open_bodies(scene, unseen), *behind, detectors, *halves)
+    return DataSplit(*_open_bodies(scene, unseen), *behind, detectors, *people.halves())
 
 
 def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
@@ -134,7 +124,6 @@ def _every_second_outfit(bodies: Bodies, first: int) -> Bodies:
     )
 
 
-CONTROLS = (*STANDARD, *NATURAL)
 PEOPLE_CONTROLS = (*STANDARD, RESAMPLED)
 
 
@@ -191,15 +180,10 @@ class RunStore(TrainingStore):
         settings = self.train_settings(seed, specs, **changes)
         logo = make_logo(bodies, faces)
         detectors = [self.split.detectors[spec] for spec in specs]
-        training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self._people)
+        training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self.split.people)
         # A run that it begins with has no name for people.
         told = "".join(f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds"))
         return self.train_once(training, self.folder(training), f"against {_short(specs)}{told}, seed {seed}")
-
-    @cached_property
-    def _people(self) -> Fits:
-        """The split's people in photographs, fitted, to train on."""
-        return NOBODY if self.split.people is None else fit_people(self.split.people)
 
     def untrained(self, pattern: Pattern, folder: Path = Path("untrained")) -> Trained:
         """Take a pattern that was not trained here, to evaluate it; the folder's name is told in records."""
@@ -261,7 +245,7 @@ class RunStore(TrainingStore):
             images_per_view=options.test_images,
             size=options.size,
             samples=options.samples,
-            controls=CONTROLS if self.split.unseen_people is None else STANDARD,
+            controls=(*STANDARD, *self.split.unseen_people.natural),
             shift=min(50, options.size // 8),
             seed=options.seed,
         )
@@ -273,15 +257,15 @@ class RunStore(TrainingStore):
         """Make the images of an evaluation, and what is worn in them: these bodies, else unseen people, else bodies."""
         backgrounds = self.split.unseen_backgrounds
         device = next(iter(self.split.detectors.values())).device
-        names = dict.fromkeys((CLOTHING, *settings.controls))
-        worn = lambda seen: {LOGO: pattern} | controls(tuple(names), pattern, settings.seed, seen)
-        if bodies is None and self.split.unseen_people is not None:
-            fits = fit_people(self.split.unseen_people)
-            return people_images(fits, backgrounds, WearSettings(size=settings.size), device), worn(None)
+        names = tuple(dict.fromkeys((CLOTHING, *settings.controls)))
+        if bodies is None and self.split.unseen_people:
+            shown = self.split.unseen_people.images(backgrounds, WearSettings(size=settings.size), device)
+            return shown, {LOGO: pattern} | controls(names, pattern, settings.seed)
         bodies = bodies or self.split.unseen
-        patterns = worn(bodies)
-        angles = tuple(map(float, angles))
-        return drawn_images(bodies, backgrounds, angles, settings, device, patterns.values()), patterns
+        patterns = {LOGO: pattern} | controls(names, pattern, settings.seed, bodies)
+        return drawn_images(
+            bodies, backgrounds, list(map(float, angles)), settings, device, patterns.values()
+        ), patterns
 
     def measure_once(
         self,
@@ -310,17 +294,15 @@ class RunStore(TrainingStore):
                     results.save(temporary / "scores.npz")
         return read_results(folder / "scores.npz")
 
-    def measure_people(
-        self, worn: Patterns, people: People, settings: WearSettings, logo: str | None = None
-    ) -> Results:
+    def measure_people(self, worn: Patterns, people: Cast, settings: WearSettings, logo: str | None = None) -> Results:
         """Measure what all detectors say of people in photographs in these patterns and the controls, or find it.
 
         logo: what the controls cover (`clothes_cover`).
         """
         detectors = self.split.detectors
         device = detectors[self.specs[0]].device
-        fits = fit_wearers(people, worn.values())[1]
-        images = people_images(fits, self.split.unseen_backgrounds, settings, device)
+        wearers = people.wearers(worn.values())
+        images = wearers.images(self.split.unseen_backgrounds, settings, device)
         patterns = dict(worn) | controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover(logo)), settings.seed)
         return self.measure_once(images, patterns, detectors, settings, "people", ())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,7 +27,6 @@ from cloak_core.files.reading import is_number
 from cloak_core.files.specs import require_named
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, Picture
 from cloak_core.sources.bodies.selection import split_selection
-from cloak_core.sources.photographs.people import Person
 
 EMBEDDED = ("sample", "sample-clothed", "sample-tight", "procedural")
 KEPT_BACK = {"scene": ":unseen", "backgrounds": ":test"}
@@ -138,8 +137,8 @@ def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgroun
     return {"bodies": unseen_bodies, "backgrounds": unseen_backgrounds}, warnings + more
 
 
-def photographs_seen_in_training(config: dict | None, people: Iterable[Person]) -> tuple[dict, list[str]]:
-    """Compare people's photographs with those of the training: {"photographs": unseen or not}, and warnings.
+def photographs_seen_in_training(config: dict | None, shown: Mapping[str, Picture]) -> tuple[dict, list[str]]:
+    """Compare photographs, by their names, with those of the training: {"photographs": unseen or not}, and warnings.
 
     As `seen_in_training` compares backgrounds: by content, whatever the photographs are called. None also where the run
     recorded names alone, as earlier versions did.
@@ -148,7 +147,6 @@ def photographs_seen_in_training(config: dict | None, people: Iterable[Person]) 
         return {"photographs": None}, []
     if config.get("people") is None:  # training saw nobody in photographs
         return {"photographs": True}, []
-    shown = {person.photograph: Picture(person.pixels, person.look) for person in people}
     unseen, warnings = _unseen_pictures("photographs", _part(config, "people"), "pixels", "photographs", shown)
     return {"photographs": unseen}, warnings
 

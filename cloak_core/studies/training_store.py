@@ -27,7 +27,6 @@ from cloak_core.files.identity import package_versions, sha256_arrays, sha256_re
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_leftovers, write_json, written
-from cloak_core.sources.photographs.fits import Fits
 from cloak_core.studies.opening import run_pattern
 from cloak_core.studies.trained_run import read_history
 from cloak_core.studies.trainings.run_record import Training, device_kind
@@ -132,7 +131,7 @@ class TrainingStore:
         named = [recorded[name] for name in FILES]
         precisions = tuple((detector, detector.precision) for detector in training.detectors)
         material = (training.bodies, sha256_arrays(logo.face_ids), precisions, training.backgrounds)
-        place = (*material, Fits.of(training.people).people, *named, settings.pattern)
+        place = (*material, training.people, *named, settings.pattern)
         if place not in self._hashes:
             config = training_config(training)
             record = decisive(config) | {"settings": None}

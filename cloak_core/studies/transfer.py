@@ -32,6 +32,7 @@ from cloak_core.core.evaluation.statistics import (
     share,
 )
 from cloak_core.core.logo import area_share
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
@@ -122,13 +123,13 @@ def ablation_names(asked: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def ablation_settings(name: str, photographs: bool = False) -> dict[str, object]:
+def ablation_settings(name: str, people: Cast = NOBODY) -> dict[str, object]:
     """Make the training settings of `best`, a technique alone upon it, +NAME (all up to it), or `recipe`.
 
-    photographs: whether training sees people in photographs, for whom the recipe is another.
+    people: whom training sees beside bodies, for whom the recipe may be another.
     """
     if name == RECIPE:
-        return {"preset": "photographs" if photographs else "transfer"}
+        return {"preset": people.preset("transfer")}
     settings: dict[str, object] = {"preset": "best"}
     if not name.startswith("+"):
         return settings | (LADDER | ALONE).get(name, {})
@@ -221,7 +222,7 @@ class Matrix:
         return count, seconds
 
     def _settings(self, ablation: str) -> dict[str, object]:
-        return dict(self.cameras.training) | ablation_settings(ablation, self.store.split.people is not None)
+        return dict(self.cameras.training) | ablation_settings(ablation, self.store.split.people)
 
     def groups(self) -> list[tuple[str, ...]]:
         """Group the judged detectors by their surrogates: those together share all trainings."""

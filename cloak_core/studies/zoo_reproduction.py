@@ -18,7 +18,7 @@ from cloak_core.files.specs import require_named, without_folders
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.studies.evaluate import evaluate, show_bodies
+from cloak_core.studies.evaluate import OnBodies, evaluate
 from cloak_core.studies.trained_run import EMBEDDED, kept_back
 from cloak_core.zoo.entry import Entry
 
@@ -67,7 +67,7 @@ def evaluate_again(
     detectors = {spec: _detector(spec, files, whose, device) for spec in told["detectors"]}
     pattern = FacePattern(make_logo(bodies, found.ids), bodies, found.colors)
     settings = _settings(told["settings"], most_images)
-    shown = show_bodies(pattern, bodies, backgrounds, detectors, told["settings"]["angles"], settings, found.config)
+    shown = OnBodies(bodies, backgrounds, told["settings"]["angles"]).show(pattern, detectors, settings, found.config)
     measured = evaluate(shown, detectors, settings, on_progress=on_progress)
     pairs = {spec: (told["detectors"][spec]["logo"], measured["detectors"][spec]["logo"]) for spec in detectors}
     return {

@@ -5,7 +5,7 @@ import torch
 from cloak_core.bench.step import run_bench_step, write_table
 from cloak_core.core.settings import make_settings
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 from tests.sources.photographs.made_people import write_people
@@ -41,11 +41,11 @@ def test_the_record_holds_together(changes, tmp_path):
 
 @pytest.mark.slow
 def test_people_in_photographs_are_fresh_views_with_a_cloth(tmp_path):
-    fits = fit_people(load_people(write_people(tmp_path, 1)))
+    people = Crowd(load_people(write_people(tmp_path, 1)))
     settings = make_settings("photographs", batch=2, size=64, translation=5)
     bodies = load_scene("sample[0:1]")
     one = run_bench_step(
-        bodies, [TinyDetector(0)], noise_backgrounds(), settings=settings, people=fits, threads=1, repeats=2
+        bodies, [TinyDetector(0)], noise_backgrounds(), settings=settings, people=people, threads=1, repeats=2
     )["tiny:0"]
     assert one["views"] == "fresh" and one["batch"] == 2 and one["colors"] == 100 * 100
     assert one["step_ms"] > one["floor_ms"]

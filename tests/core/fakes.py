@@ -87,6 +87,9 @@ class MadeViews:
     def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         return self.views[shown["pose"]]
 
+    def require_visible(self, pattern: Pattern) -> None:
+        raise AssertionError("nobody trains on them")
+
 
 def box_of(mask: torch.Tensor) -> Box:
     """The bounding box (x0, y0, x1, y1) of a mask [H, W] that is not empty."""

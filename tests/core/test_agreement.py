@@ -27,10 +27,10 @@ from cloak_core.patterns.groups import GroupPattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.source import BodySource
 from cloak_core.sources.photographs import source as photographs
-from cloak_core.sources.photographs.fits import Fits, fit_people
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.rig import body_rig
-from cloak_core.studies.imagery import body_images, people_images
+from cloak_core.studies.imagery import body_images
 from tests.core.fakes import noise_backgrounds, tiny_settings
 from tests.sources.photographs.made_people import write_people
 
@@ -64,8 +64,8 @@ PATTERNS = patterns()
 
 
 @pytest.fixture(scope="module")
-def fits(tmp_path_factory: pytest.TempPathFactory) -> Fits:
-    return fit_people(load_people(write_people(tmp_path_factory.mktemp("people"), IMAGES)))
+def crowd(tmp_path_factory: pytest.TempPathFactory) -> Crowd:
+    return Crowd(load_people(write_people(tmp_path_factory.mktemp("people"), IMAGES)))
 
 
 def on_bodies(draws: Draws) -> ImageSet:
@@ -91,15 +91,15 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(photographs, "LIGHT", 0.0)
 
 
-def trained_on(shown: str, fits: Fits) -> Source:
+def trained_on(shown: str, crowd: Crowd) -> Source:
     if shown == "people":
-        return photographs.PeopleSource(fits, SIZE)
+        return photographs.PeopleSource(crowd.fits, SIZE)
     return BodySource.trained(BODIES, SETTINGS.views)
 
 
 @pytest.mark.parametrize("shown", ["bodies", "people"])
-def test_training_and_judging_draw_the_same_images(shown: str, fits: Fits, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = trained_on(shown, fits)
+def test_training_and_judging_draw_the_same_images(shown: str, crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = trained_on(shown, crowd)
     sampler = Sampler(SETTINGS, source, len(BACKGROUNDS))
     draws = sampler.draw(0)
     trained, laid_as = {}, {}
@@ -113,9 +113,9 @@ def test_training_and_judging_draw_the_same_images(shown: str, fits: Fits, monke
         if shown == "people":
             person, seed = number(draws, i), int(draws.seed[i])
             random = np.random.default_rng([seed, person])
-            framing = photographs.draw_framing(random, fits[person], SIZE)
+            framing = photographs.draw_framing(random, crowd.fits[person], SIZE)
             monkeypatch.setattr(photographs, "framing_of", lambda *_, framing=framing: framing)
-            images = people_images(fits, BACKGROUNDS, WearSettings(size=SIZE))
+            images = crowd.images(BACKGROUNDS, WearSettings(size=SIZE))
         else:
             images = on_bodies(draws)
         judged = images.compose([number(draws, i)], [each[i] for each in laid_as.values()])
@@ -145,8 +145,8 @@ def finely(pattern: ClothPattern, places: Places) -> torch.Tensor:
 
 @pytest.mark.parametrize("shown", ["bodies", "people"])
 @pytest.mark.parametrize("name", CLOTHS)
-def test_a_cloth_is_seen_as_a_finer_look_shows_it(shown: str, name: str, fits: Fits) -> None:
-    source, pattern = trained_on(shown, fits), PATTERNS[name]
+def test_a_cloth_is_seen_as_a_finer_look_shows_it(shown: str, name: str, crowd: Crowd) -> None:
+    source, pattern = trained_on(shown, crowd), PATTERNS[name]
     draws = Sampler(SETTINGS, source, len(BACKGROUNDS)).draw(0)
     for columns, seed in draws.views():
         view = replace(source.view(columns, seed, pattern), stream=None)

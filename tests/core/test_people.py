@@ -14,7 +14,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.source import BodyPlan
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.source import PeopleSource, draw_framing
@@ -37,8 +37,8 @@ class CellDetector(RedDetector):
 
 
 @pytest.fixture(scope="module")
-def fits(tmp_path_factory):
-    return fit_people(load_people(write_people(tmp_path_factory.mktemp("people"), 2)))
+def crowd(tmp_path_factory):
+    return Crowd(load_people(write_people(tmp_path_factory.mktemp("people"), 2)))
 
 
 def settings(**changes):
@@ -47,12 +47,12 @@ def settings(**changes):
     )
 
 
-def run(out, fits, bodies="sample[0:1]", **changes):
+def run(out, crowd, bodies="sample[0:1]", **changes):
     bodies = load_scene(bodies)
     logo = load_logo(bodies, region="shirt+trousers")
     resume = changes.pop("resume", False)
     given = (settings(**changes), bodies, logo, [CellDetector()], noise_backgrounds(), out)
-    return train(*given, people=fits, resume=resume)
+    return train(*given, people=crowd, resume=resume)
 
 
 class DrawsAlone(BodyPlan):
@@ -62,6 +62,8 @@ class DrawsAlone(BodyPlan):
 
     def view(self, shown: object, seed: int | None, pattern: object) -> None:
         raise NotImplementedError
+
+    require_visible = view
 
 
 def people_sampler(count: int, poses: int = 1, outfits: int = 1, **changes) -> Sampler:
@@ -85,36 +87,37 @@ def test_the_share_of_renders_is_kept():
     assert abs(shown.mean() - 0.25) < 0.06
 
 
-def test_a_framing_keeps_most_of_the_person(fits):
+def test_a_framing_keeps_most_of_the_person(crowd):
+    fit = crowd.fits[0]
     for seed in range(50):
-        framing = draw_framing(np.random.default_rng(seed), fits[0], 64)
-        x0, y0, x1, y1 = framing.box(fits[0].person.box)
+        framing = draw_framing(np.random.default_rng(seed), fit, 64)
+        x0, y0, x1, y1 = framing.box(fit.person.box)
         inside = (min(x1, 64) - max(x0, 0)) * (min(y1, 64) - max(y0, 0))
         assert inside > 0.7 * (x1 - x0) * (y1 - y0)
 
 
-def test_views_depend_on_person_and_seed_alone(fits):
+def test_views_depend_on_person_and_seed_alone(crowd):
     pattern = FacePattern(load_logo(load_scene("sample[0:1]"), region="shirt"))
-    source = PeopleSource(fits, 64)
+    source = PeopleSource(crowd.fits, 64)
     one, same, other = (source.view({"person": 0}, seed, pattern) for seed in (5, 5, 6))
     assert one.box == same.box != other.box and one.stream == same.stream
     values = torch.rand(one.map.width, 3)
     assert torch.equal(one.map.apply(values), same.map.apply(values))
 
 
-def test_a_resumed_run_ends_with_the_same_bits(tmp_path, fits):
-    whole = run(tmp_path / "whole", fits, people_share=0.7)
+def test_a_resumed_run_ends_with_the_same_bits(tmp_path, crowd):
+    whole = run(tmp_path / "whole", crowd, people_share=0.7)
     (tmp_path / "run").mkdir()
-    run(tmp_path / "part", fits, people_share=0.7, max_seconds=1e-9)
-    resumed = run(tmp_path / "part", fits, people_share=0.7, resume=True)
+    run(tmp_path / "part", crowd, people_share=0.7, max_seconds=1e-9)
+    resumed = run(tmp_path / "part", crowd, people_share=0.7, resume=True)
     assert np.abs(whole.colors - 0.5).max() > 0.01
     assert resumed.step == 4 and np.array_equal(whole.colors, resumed.colors)
 
 
-def test_resuming_with_other_people_is_refused(tmp_path, fits):
-    run(tmp_path / "run", fits, max_seconds=1e-9)
+def test_resuming_with_other_people_is_refused(tmp_path, crowd):
+    run(tmp_path / "run", crowd, max_seconds=1e-9)
     with pytest.raises(InputError, match="people"):
-        run(tmp_path / "run", fits[:1], resume=True)
+        run(tmp_path / "run", crowd.first(1), resume=True)
 
 
 def boxes(*rows):

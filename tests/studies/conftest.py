@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.page import write_card
@@ -33,7 +34,7 @@ def worn(made: tuple[Path, dict, list], tmp_path_factory: pytest.TempPathFactory
     shutil.copytree(made[0] / "dark", out / "dark")
     Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(out / "white.png")
     patterns = tuple(f"{out}/white.png@{form}" for form in ("tile=0.5", "patch=0.3", "tile=0.2"))
-    people = load_people(str(write_people(out / "people")))
+    people = Crowd(load_people(str(write_people(out / "people"))))
     store = make_store(made[0], Glow("glow"))
     Assessment(store, TINY, out / "glow", ["builtin-sample"], None, people, patterns).run()
     return out

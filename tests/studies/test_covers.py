@@ -16,10 +16,11 @@ from cloak_core.library import evaluate, film, wear
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.sources.bodies.people.clothed import clothed_bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import People, load_people
 from cloak_core.sources.photographs.rig import faces_on_rig
-from cloak_core.sources.photographs.source import PeopleSource, fit_wearers
+from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.zoo.entry import entry
 from tests.core.fakes import RedDetector
@@ -90,12 +91,12 @@ def test_who_shows_nothing_of_a_cloth_is_left_out_and_counted(people: People) ->
     first, second = (set(faces_on_rig(topology)[np.unique(fit.main)].tolist()) for fit in fit_people(people))
     unseen = set(range(sample_bodies().face_count)) - first - second
 
-    def dressed(faces: set[int]) -> tuple[People, object]:
+    def dressed(faces: set[int]) -> Crowd:
         cover = Cover(np.array(sorted(faces)[:1]), topology, name="one face")
-        return fit_wearers(people, [ClothPattern(cover, Grid.of(0.25, 0.01))])
+        return Crowd(people).wearers([ClothPattern(cover, Grid.of(0.25, 0.01))])
 
-    shown, fits = dressed(first - second)
-    assert len(shown) == len(fits) == 1 and shown.left_out == {"nothing is covered": 1}
+    shown = dressed(first - second)
+    assert len(shown) == len(shown.fits) == 1 and shown.people.left_out == {"nothing is covered": 1}
     with pytest.raises(InputError, match="one face shows on nobody"):
         dressed(unseen)
 

@@ -22,7 +22,7 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.evaluate import Shown, evaluate, read_evaluation, show_bodies
+from cloak_core.studies.evaluate import OnBodies, Shown, evaluate, read_evaluation
 
 SMALL = EvaluateSettings(images_per_view=2, size=64, shift=6, samples=1, resamples=100, batch=4, bare=5)
 ANGLES = (-10.0, 10.0)
@@ -67,7 +67,7 @@ def in_green(logo: Logo) -> FacePattern:
 
 def show(pattern: Pattern, bodies: Bodies, rooms: int = 5, **more: object) -> Shown:
     given = {"detectors": {"spec": GreenBlind()}, "angles": ANGLES, "settings": SMALL} | more
-    return show_bodies(pattern, bodies, grey_rooms(rooms), **given)
+    return OnBodies(bodies, grey_rooms(rooms), given.pop("angles")).show(pattern, **given)
 
 
 def judged(pattern: Pattern, bodies: Bodies, detector: Detector | None = None, **more: object) -> dict:

@@ -14,11 +14,10 @@ from cloak_core.files.errors import InputError
 from cloak_core.library import evaluate, train
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.evaluate import read_evaluation
 from cloak_core.studies.opening import open_run, snapshot_pattern
-from cloak_core.studies.trainings.run_record import _people
 from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny
@@ -42,7 +41,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def trained_on(path: Path) -> dict:
     """A config.json as far as photographs go."""
-    return json.loads(json.dumps({"people": _people(fit_people(load_people(path)))}))
+    return json.loads(json.dumps({"people": Crowd(load_people(path)).record()}))
 
 
 def test_a_run_is_judged_on_people_and_reported(run: Path, path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -13,7 +13,8 @@ from cloak_core.core.settings import make_settings, merge
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.people import People, load_people
+from cloak_core.sources.photographs.crowd import Crowd
+from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies import training_store
 from cloak_core.studies.store import DataSplit, RunStore
 from cloak_core.studies.transfer import (
@@ -45,7 +46,7 @@ def test_siblings_and_strangers_and_what_the_user_knows_better():
             families(specs, [words])
 
 
-def matrix(out: Path, people: tuple[People, ...] = (), **changes: object) -> Matrix:
+def matrix(out: Path, people: tuple[Crowd, ...] = (), **changes: object) -> Matrix:
     detectors = {"onnx:red.onnx": Glow("red", 0), "yolo:a": Glow("green", 1), "yolo:b": Glow("blue", 2)}
     split = DataSplit(
         sample_bodies("train").select_poses([0]),
@@ -74,15 +75,15 @@ def test_surrogates_are_all_but_the_judged_network_and_if_asked_its_siblings(tmp
 
 @pytest.mark.long
 def test_people_in_photographs_are_trained_on_and_others_judge(tmp_path):
-    people = load_people(write_people(tmp_path / "people", 4))
+    people = Crowd(load_people(write_people(tmp_path / "people", 4)))
     seen, kept = people.halves()
-    assert not set(seen.photographs) & set(kept.photographs) and len(seen) + len(kept) == 4
+    assert not set(seen.pictures()) & set(kept.pictures()) and len(seen) + len(kept) == 4
     of_people = matrix(tmp_path / "m", (seen, kept), judges=("yolo:a",), cameras=PHOTOGRAPHS)
     of_people.fill(["recipe"])
     (cell,) = gather(tmp_path / "m")
     assert cell["n"] == len(kept) and cell["settings"] == {"preset": "photographs"} and cell["clothing"] is not None
     (run,) = (tmp_path / "m" / "runs").iterdir()
-    assert set(read_config(run)["people"]["photographs"]) == set(seen.photographs)
+    assert set(read_config(run)["people"]["photographs"]) == set(seen.pictures())
     # Other people are another training, and other images.
     matrix(tmp_path / "m", (kept, seen), judges=("yolo:a",), cameras=PHOTOGRAPHS).fill(["recipe"])
     assert len(list((tmp_path / "m" / "evaluations").iterdir())) == 2

@@ -22,12 +22,12 @@ COLUMNS = ("operating_point", "success_own", "own_low", "own_high", "clothing", 
 
 def cells(store: RunStore) -> Cells:
     judge, *others = store.specs
-    photographs = store.split.people is not None
+    people = store.split.people
     for attack, specs, preset in (("white box", [judge], "best"), ("black box", others, "transfer")):
         for within in WITHIN if specs else ():
             # The print itself is no training: its colours may not move.
             near = {"within": within} if within else {"within": 0.001, "steps": 1}
-            where = {"preset": "photographs"} if photographs else {"preset": preset, "angles": CIRCLE}
+            where = {"preset": people.preset(preset)} | ({} if people else {"angles": CIRCLE})
             yield Cell(
                 label={"attack": attack, "within": within},
                 faces=shirt_trousers(store.split.bodies),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -11,14 +11,13 @@ import torch
 from jaxtyping import Int, Int64
 
 from cloak_core.core.cameras import Number
+from cloak_core.core.logo import Cover
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.source import Dealt
 from cloak_core.core.view import BakedView
-from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
-from cloak_core.sources.photographs.fits import UNCOVERED, Fits, fit_people, people_identity, those_who_fit
+from cloak_core.sources.photographs.fits import Fits, people_identity
 from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.people import People
 from cloak_core.sources.photographs.views import (
     CONTEXT,
     FitJitter,
@@ -105,10 +104,8 @@ class PeopleSource:
     def view(self, shown: Mapping[str, int | float], seed: int | None, pattern: Pattern) -> BakedView:
         """See `Source`."""
         person = int(shown["person"])
-        fit, cover = self.fits[person], pattern.cover
-        if cover.key not in self._positions:
-            self._positions[cover.key] = logo_positions(cover.topology, cover.face_ids)
-        place = fit, self._positions[cover.key], len(cover)
+        fit = self.fits[person]
+        place = fit, self._positions_of(pattern.cover), len(pattern.cover)
         if seed is None:
             return photograph_view(*place, framing_of(fit, self.context, self.size), device=self.works_on)
         random = np.random.default_rng([seed, person])
@@ -117,21 +114,14 @@ class PeopleSource:
         view = photograph_view(*place, framing, jitter, self.works_on)
         return replace(view, stream=(seed, person, _CLOTH))
 
+    def _positions_of(self, cover: Cover) -> Int64[np.ndarray, " T"]:
+        if cover.key not in self._positions:
+            self._positions[cover.key] = logo_positions(cover.topology, cover.face_ids)
+        return self._positions[cover.key]
 
-def fit_wearers(people: People, patterns: Iterable[Pattern]) -> tuple[People, Fits]:
-    """Fit people; leave out whom the body does not fit, and on whom one of the cloths shows nowhere.
-
-    InputError: nobody is left.
-    """
-    fits = fit_people(people)
-    fitting = those_who_fit(people, fits)
-    cloths = {pattern.cover.key: pattern.cover for pattern in patterns if pattern.period}.values()
-    positions = [logo_positions(cover.topology, cover.face_ids) for cover in cloths]
-    dressed = [all((position[fit.main] >= 0).any() for position in positions) for fit in fits]
-    if dressed and not any(dressed):
-        raise InputError(f"{people.name}: {' or '.join(cover.name for cover in cloths)} shows on nobody")
-    fits = fits.where(dressed)
-    return those_who_fit(fitting, fits, UNCOVERED), fits
+    def require_visible(self, pattern: Pattern) -> None:
+        """See `Source`: everybody's clothes are seen, so that topologies decide."""
+        self._positions_of(pattern.cover)
 
 
 def draw_framing(random: np.random.Generator, fit: Fit, size: int) -> Framing:

@@ -15,15 +15,13 @@ from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.logo import Cover, area_share, load_logo
 from cloak_core.core.pattern import Pattern
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.files.errors import InputError, one_line
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import remove_all_leftovers, write_json
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.patterns.faces import FacePattern
-from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.sources.photographs.people import People
-from cloak_core.sources.photographs.source import fit_wearers
 from cloak_core.studies.card.figures import attack_record, card_of, detector_facts, expected_card, fixed
 from cloak_core.studies.card.page import keep_pictures
 from cloak_core.studies.card.protocol import (
@@ -43,10 +41,9 @@ from cloak_core.studies.card.protocol import (
     parts_of,
 )
 from cloak_core.studies.card.words import others_strongest
-from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import CLOTHES, clothes_cover, open_pattern, run_pattern
 from cloak_core.studies.pace import TRAINED, OnWork, Pace, Work, measured_pace
-from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore, people_record
+from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.studies.training_store import Trained
 from cloak_core.studies.trainings.run_record import environment
@@ -67,7 +64,7 @@ class Assessment:
     zoo: Sequence[str] | None = None
     """Entries whose cloaks it is shown; None: all there are."""
     on_work: OnWork | None = None
-    people: People | None = None
+    people: Cast = NOBODY
     """People in photographs: the first ones are dressed in the largest cloak, another detector's, and the patterns."""
     patterns: Sequence[str] = ()
     """Pictures to be worn, as `open_pattern` takes them: FILE.png@tile=METRES, FILE.png@patch=METRES."""
@@ -81,8 +78,7 @@ class Assessment:
         self.areas = nested_areas(self.split.bodies, self.size.areas)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.entries = self._entries()
-        if self.people is not None:
-            self.people = replace(self.people, people=self.people.people[: self.size.people])
+        self.people = self.people.first(self.size.people)
         cover, over = clothes_cover(self.logo), f" on {self.logo}" if self.logo else ""
         opened = [(name + over, pattern.on(cover)) for pattern, _, name in map(open_pattern, self.patterns)]
         names = [name for name, _ in opened]
@@ -117,13 +113,13 @@ class Assessment:
             **facts,
             "cover": self.logo or CLOTHES,
             "made": made | environment(),
-            "materials": self.split.record() | ({"shown_people": people_record(self.people)} if self.people else {}),
+            "materials": self.split.record() | self.people.summary("shown_people"),
             "left_patterns": self.left_patterns,
             "white_box": white_box if facts["differentiable"] else [],
             "black_box": {"zoo": [self._entry(name) for name in self.entries]},
             # A patch is worn in photographs alone.
             "patterns": [{"name": name} for name, pattern in self.opened.items() if pattern.period],
-            "photographs": None if self.people is None else {"left_out": {}},
+            "photographs": {"left_out": {}} if self.people else None,
             "seconds": 0.0,
         }
 
@@ -171,13 +167,13 @@ class Assessment:
         """Estimate the time of what is not done yet, and the detector's pace. pace: where it is known."""
         # Cards train on one thread.
         pace = pace or measured_pace(self.detector, self.store.options.size, gradient_threads=1)
-        return self.work(1.0 if self.people is None else self._dressing(pace)).seconds_left(pace), pace
+        return self.work(self._dressing(pace) if self.people else 1.0).seconds_left(pace), pace
 
     def _dressing(self, pace: Pace) -> float:
         """Clock two people in photographs, fitted and dressed: a picture's cost, in images that are looked at."""
-        few = replace(self.people, people=self.people.people[:CLOCKED_PEOPLE])
+        few = self.people.first(CLOCKED_PEOPLE)
         started = time.monotonic()
-        images = people_images(fit_people(few), self.split.unseen_backgrounds, WearSettings())
+        images = few.images(self.split.unseen_backgrounds, WearSettings())
         worn = controls(PEOPLE_CONTROLS, OwnClothing(clothes_cover()))
         for _ in images.compose(range(len(images.trials)), list(worn.values())):
             pass
@@ -201,7 +197,7 @@ class Assessment:
                     cloak = trained.get(part_of_area(self.size.areas[-1]))
                     worn = self._worn_by_people(cloak, rows)
                     rows["people"] = [self.store.measure_people(worn, self.people, WearSettings(bare=0), self.logo)]
-                    told["photographs"] = {"left_out": fit_wearers(self.people, worn.values())[0].left_out}
+                    told["photographs"] = {"left_out": self.people.wearers(worn.values()).people.left_out}
                 else:
                     repetitions = self._train(part) if part.steps else [self._untrained(part)]
                     trained[part.name] = repetitions[0]

@@ -23,6 +23,7 @@ from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.events import OnEvent
 from cloak_core.core.loop import Loop, LoopFolder, TrainingError
 from cloak_core.core.settings.values import option
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.core.stopping import StopRequest, stop_request
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -30,8 +31,6 @@ from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import fit_people, people_identity
-from cloak_core.sources.photographs.people import People
 from cloak_core.studies.hardening.answers import Surer
 from cloak_core.studies.hardening.pictures import Decoys, Pictures
 from cloak_core.studies.hardening.pool import Pool
@@ -62,7 +61,7 @@ class Material:
     backgrounds: Backgrounds
     photographs: Backgrounds | None = None
     """Pictures of which the detector is to report what it reported; no labels."""
-    people: People | None = None
+    people: Cast = NOBODY
     """Those who can be dressed; in cloaks they are to be reported as in their own clothes."""
 
 
@@ -103,8 +102,7 @@ def harden(
     InputError: `out` exists without `resume`, or was begun with something else.
     """
     settings = _settled(settings, student)
-    fits = [] if material.people is None else fit_people(material.people)
-    pool = Pool(settings, material.bodies, material.backgrounds, student.detector, fits)
+    pool = Pool(settings, material.bodies, material.backgrounds, student.detector, material.people)
     pictures = Pictures(pool, material.photographs, student.teacher)
     config = _config(settings, student, material)
     folder = HardenFolder(Path(out))
@@ -126,7 +124,7 @@ def _settled(settings: HardenSettings, student: Student) -> HardenSettings:
 
 def _config(settings: HardenSettings, student: Student, material: Material) -> dict:
     """Make config.json: what decides the result, and where it ran."""
-    bodies, photographs, people = material.bodies, material.photographs, material.people
+    bodies, photographs = material.bodies, material.photographs
     return {
         "format": FORMAT,
         "cloak": __version__,
@@ -135,7 +133,7 @@ def _config(settings: HardenSettings, student: Student, material: Material) -> d
         "scene": {"name": bodies.name, "poses": list(bodies.names), "identity": bodies.identity},
         "backgrounds": sha256_record(material.backgrounds.identities()),
         "photographs": None if photographs is None else sha256_record(photographs.identities()),
-        "people": None if people is None else people_identity(people),
+        "people": material.people.identity,
         "environment": environment(),
     }
 

@@ -7,7 +7,6 @@ hardening that was stopped goes on as if it had not been.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,17 +25,13 @@ from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
-from cloak_core.core.source import Mixture
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodyPlan, BodySource
-from cloak_core.sources.photographs.fits import Fits
-from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.rig import faces_on_rig
-from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.hardening.decoys import FlatCloth, Texture
 from cloak_core.studies.hardening.logos import SQUARE, WIDTHS, draw_colors, draw_logo, first_cloth
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -108,12 +103,11 @@ class Pool:
         bodies: Bodies,
         backgrounds: Backgrounds,
         detector: Detector,
-        people: Sequence[Fit] = (),
+        people: Cast = NOBODY,
     ) -> None:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
-        self.people = Fits.of(people)
-        if self.people:
-            faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
+        self.people = people
+        people.require_topology(bodies.topology)
         self.device = torch.device(detector.device)
         room = VIEW_BYTES // 2 if settings.cloths else VIEW_BYTES
         rendering = RenderSettings(device=self.device, samples=SAMPLES, memory_bytes=room)
@@ -200,11 +194,8 @@ class Pool:
     def _batcher(self, settings: TrainSettings, pattern: Pattern) -> Batcher:
         """Make what builds images of bodies, and of people where there are some, in what is worn."""
         plan = BodyPlan(settings.views, self.bodies.pose_count, self.bodies.outfit_count)
-        source = self.source.planned(plan, settings.views.camera(0.0, 0.0, 1.0))
-        if self.people:
-            size, seed = self.settings.size, settings.run.seed
-            people = PeopleSource(self.people, size, seed, device=self.device)
-            source = Mixture(source, people, settings.photographs.people_share, seed)
+        bodies = self.source.planned(plan, settings.views.camera(0.0, 0.0, 1.0))
+        source = self.people.beside(bodies, settings, self.device)
         sampler = Sampler(settings, source, len(self.backgrounds))
         return Batcher(settings, sampler, self.backgrounds, pattern, self.device)
 

@@ -12,13 +12,12 @@ from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.logo import Logo
 from cloak_core.core.run_config import FILES
 from cloak_core.core.settings import TrainSettings, settings_record
+from cloak_core.core.source import NOBODY, Cast
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
 from cloak_core.files.likeness import pose_shape, pose_spread
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import Fits, people_identity
-from cloak_core.sources.photographs.fitting import Fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +29,8 @@ class Training:
     logo: Logo
     detectors: Sequence[Detector]
     backgrounds: Backgrounds
-    people: Sequence[Fit] = ()
-    """In photographs, fitted."""
+    people: Cast = NOBODY
+    """Who is shown beside the bodies."""
     query_prior: Sequence[Detector] = ()
     """Detectors whose gradients lead a search by questions."""
     techniques: Sequence[str] = ()
@@ -58,7 +57,7 @@ def run_config(training: Training, processes: int = 1, files: Mapping[str, objec
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
         "detectors": [_detector(detector) for detector in training.detectors],
         "backgrounds": _backgrounds(training.backgrounds),
-        "people": _people(training.people),
+        "people": training.people.record(),
         **(dict.fromkeys(FILES.values()) | dict(files or {})),
         "query_prior": [_detector(detector) for detector in training.query_prior] or None,
         "inputs": dict(training.inputs),
@@ -100,22 +99,6 @@ def _backgrounds(backgrounds: Backgrounds) -> dict:
         "identities": backgrounds.identities(),
         "files": [picture.file for picture in backgrounds.pictures],
         "looks": [picture.look for picture in backgrounds.pictures],
-    }
-
-
-def _people(fits: Sequence[Fit]) -> dict | None:
-    """Record who was trained on, photographs by content and by name, so that evaluation can tell them from others."""
-    if not fits:
-        return None
-    people = Fits.of(fits).people
-    photographs = {person.photograph: person for person in people}.values()
-    return {
-        "count": len(fits),
-        "photographs": [person.photograph for person in photographs],
-        "licences": [person.licence for person in photographs],
-        "pixels": [person.pixels for person in photographs],
-        "looks": [person.look for person in photographs],
-        "identity": people_identity(people),
     }
 
 

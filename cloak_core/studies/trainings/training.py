@@ -1,4 +1,4 @@
-"""Train on bodies and people in photographs: their sources, their record, and the training itself (`train`)."""
+"""Train on bodies and whoever is shown beside them: sources, record, and the training itself (`train`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cloak_core.core.loop import TrainingError
 from cloak_core.core.packages import call_package
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings
-from cloak_core.core.source import Mixture
+from cloak_core.core.source import NOBODY, Cast, Source
 from cloak_core.core.technique import Technique, Techniques
 from cloak_core.core.train import Job, run_training
 from cloak_core.core.training import RunResult
@@ -28,9 +28,6 @@ from cloak_core.files.identity import sha256_arrays
 from cloak_core.patterns.choosing import pattern_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodySource
-from cloak_core.sources.photographs.fits import Fits
-from cloak_core.sources.photographs.fitting import Fit
-from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.studies.trainings.first_colors import first_colors
 from cloak_core.studies.trainings.run_record import Training, run_config
 from cloak_core.techniques import build_techniques
@@ -50,17 +47,17 @@ def train(
     inputs: Mapping[str, str] | None = None,
     alone: bool = False,
     query_prior: Sequence[Detector] = (),
-    people: Sequence[Fit] = (),
+    people: Cast = NOBODY,
     techniques: Sequence[str] = (),
 ) -> RunResult:
     """Train the logo's colours into the run folder `out`.
 
     The loss is the ensemble's disappearance loss (the mean over `detectors` unless the settings say otherwise), plus
     weighted total variation and what techniques add. A search by questions (`black_box_queries`) looks where the
-    gradients of the detectors of `query_prior` point. `people`: fitted people in photographs, shown in the share of the
-    images that the settings say. `techniques` of other packages, NAME or NAME:TEXT, act beside those that the settings
-    have on. `on_event` hears every event that goes to events.jsonl. `inputs` (paths and specs, as the user gave them)
-    are recorded.
+    gradients of the detectors of `query_prior` point. `people`: who is shown beside the bodies, in the share of
+    the images that the settings say. `techniques` of other packages, NAME or NAME:TEXT, act beside those that the
+    settings have on. `on_event` hears every event that goes to events.jsonl. `inputs` (paths and specs, as the user
+    gave them) are recorded.
     Under torchrun its processes train together, unless this one is to train `alone`.
     Nothing of the process is changed: threads and the like are the caller's (`torch.set_num_threads`).
     SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step with a checkpoint;
@@ -81,16 +78,16 @@ def train(
             )
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
-    people = Fits.of(people)
     training = Training(settings, bodies, logo, detectors, backgrounds, people, query_prior, techniques, inputs or {})
+    source = make_source(training)  # may take long, which other processes of this run must not wait for
     try:
         with join_world(local_device(settings.compute.device), alone) as world:
-            return run_training(make_job(training, world), Path(out), resume, on_event, world)
+            return run_training(make_job(training, source, world), Path(out), resume, on_event, world)
     except LostProcess as lost:
         raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
 
 
-def make_job(training: Training, world: World) -> Job:
+def make_job(training: Training, source: Source, world: World) -> Job:
     """Make the training that was asked for. InputError: something does not go together, or cannot be read."""
     settings, bodies, logo = training.settings, training.bodies, training.logo
     device = local_device(settings.compute.device)
@@ -104,9 +101,7 @@ def make_job(training: Training, world: World) -> Job:
     else:
         first = pattern.from_faces(start)
     config = run_config(training, world.size, _files(start, techniques) | foreign)
-    source = make_source(training, device)
-    if not training.people or settings.photographs.people_share < 1:
-        bodies_of(source).require_visible(pattern)
+    source.require_visible(pattern)
     return Job(settings, pattern, first, techniques, source, training.backgrounds, detectors, surrogates, config)
 
 
@@ -136,20 +131,11 @@ def _files(start: Float32[np.ndarray, "L 3"] | None, techniques: Techniques) -> 
     return techniques.content() | ({} if start is None else {"start": {"sha256": sha256_arrays(start)}})
 
 
-def make_source(training: Training, device: torch.device) -> BodySource | Mixture:
-    """Make the source of bodies, and of people in photographs where there are any."""
+def make_source(training: Training) -> Source:
+    """Make the source of bodies, with whoever is shown beside them."""
     settings = training.settings
-    bodies = BodySource.trained(training.bodies, settings.views, device)
-    fits = Fits.of(training.people)
-    if not fits:
-        return bodies
-    people = PeopleSource(fits, settings.views.size, settings.run.seed, device=device)
-    return Mixture(bodies, people, settings.photographs.people_share, settings.run.seed)
-
-
-def bodies_of(source: BodySource | Mixture) -> BodySource:
-    """Find the source of bodies, which people in photographs may stand beside."""
-    return source.first if isinstance(source, Mixture) else source
+    device = local_device(settings.compute.device)
+    return training.people.beside(BodySource.trained(training.bodies, settings.views, device), settings, device)
 
 
 def training_config(training: Training) -> dict:

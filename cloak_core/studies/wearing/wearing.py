@@ -21,10 +21,8 @@ from cloak_core.files.writing import new_folder, require_new, write_json, write_
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import People
-from cloak_core.sources.photographs.source import fit_wearers
-from cloak_core.studies.evaluate import mean_quality
-from cloak_core.studies.imagery import people_images
 from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.studies.wearing.pages import Album
 
@@ -36,7 +34,7 @@ GREY_HEADWEAR = "grey headwear"
 
 def wear_and_judge(
     colors: Sequence[str],
-    people: People,
+    people: Crowd,
     detectors: dict[str, Detector],
     backgrounds: Backgrounds,
     out: Path | None = None,
@@ -77,7 +75,7 @@ def wear_and_judge(
 
 def _judged(
     patterns: Patterns,
-    people: People,
+    people: Crowd,
     detectors: dict[str, Detector],
     backgrounds: Backgrounds,
     settings: WearSettings,
@@ -85,16 +83,16 @@ def _judged(
     folder: Path | None,
 ) -> dict:
     """Dress every fitted person in everything and ask every detector; also about backgrounds without people."""
-    people, fits = fit_wearers(people, patterns.values())
+    wearers = people.wearers(patterns.values())
     points = {spec: detector.operating_point for spec, detector in detectors.items()}
-    images = people_images(fits, backgrounds, settings, next(iter(detectors.values())).device)
+    images = wearers.images(backgrounds, settings, next(iter(detectors.values())).device)
     album = None if folder is None else Album(folder, images.body_names, points)
     bare = np.arange(min(settings.bare, len(backgrounds)))
     on_images = None if album is None else album.add_all
     results, _ = measure_frozen(images, patterns, detectors, settings, on_progress, on_images, bare)
     if album is not None:
         album.write()
-        write_text(folder / "scores.csv", _table(results, people))
+        write_text(folder / "scores.csv", _table(results, wearers.people))
 
     def record(spec: str, name: str) -> dict:
         """Count S of contract C8 with `seen_from`: the people seen from the front, from the side and from behind."""
@@ -104,12 +102,12 @@ def _judged(
 
     return {
         "detectors": {spec: {name: record(spec, name) for name in results.controls} for spec in detectors},
-        "people": len(people),
-        "photographs": len(people.photographs),
-        "left_out": people.left_out,
+        "people": len(wearers),
+        "photographs": len(wearers.people.photographs),
+        "left_out": wearers.people.left_out,
         "false_alarms": {spec: finite(false_alarms(results, spec, settings.threshold)) for spec in detectors},
         "operating_points": points,
-        "fit": mean_quality(fits),
+        "fit": wearers.quality(),
     }
 
 

@@ -10,11 +10,10 @@ from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.evaluation.measure import OnProgress, measure
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import finite, operating_point, share
+from cloak_core.core.source import Cast
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import fit_people
-from cloak_core.sources.photographs.people import People
-from cloak_core.studies.imagery import people_images
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.studies.opening import clothes_cover, open_pattern
 from cloak_core.studies.trained_run import trained_against
 
@@ -25,9 +24,9 @@ WIDTHS = (0.1, 0.15, 0.2, 0.25, 0.35, 0.5, 0.7, 1.0)
 
 def choose_widths(
     colors: Sequence[str],
-    people: People | None,
+    people: Cast,
     detectors: Mapping[str, Detector],
-    judging: tuple[People, Mapping[str, Detector]],
+    judging: tuple[Crowd, Mapping[str, Detector]],
     backgrounds: Backgrounds,
     settings: WearSettings,
     on_progress: OnProgress | None = None,
@@ -53,7 +52,7 @@ def choose_widths(
 
 def width_curve(
     color: str,
-    people: People,
+    people: Crowd,
     detectors: Mapping[str, Detector],
     backgrounds: Backgrounds,
     settings: WearSettings,
@@ -67,7 +66,7 @@ def width_curve(
     """
     opened = [open_pattern(color.replace(AUTO, f"@tile={metres:g}"))[0] for metres in WIDTHS]
     patterns = {f"{metres:g}": worn.on(clothes_cover(logo)) for metres, worn in zip(WIDTHS, opened, strict=True)}
-    images = people_images(fit_people(people), backgrounds, settings, next(iter(detectors.values())).device)
+    images = people.images(backgrounds, settings, next(iter(detectors.values())).device)
     results = measure(images, patterns, detectors, batch=settings.batch, on_progress=on_progress)
 
     def hidden(spec: str, metres: str) -> dict[str, float | None]:
@@ -79,15 +78,15 @@ def width_curve(
     measured = [[one[metres][name] for one in rates.values() for name in one[metres]] for metres in patterns]
     means = [np.mean([rate for rate in of_width if rate is not None]) for of_width in measured]
     chosen = WIDTHS[int(np.argmax(means))]
-    return {"chosen": chosen, "people": len(people), "photographs": len(people.photographs), "detectors": rates}
+    return {"chosen": chosen, "people": len(people), "photographs": len(people.people.photographs), "detectors": rates}
 
 
 def _check_strangers(
-    people: People, detectors: Mapping[str, Detector], judges: People, judging: Mapping[str, Detector]
+    people: Crowd, detectors: Mapping[str, Detector], judges: Crowd, judging: Mapping[str, Detector]
 ) -> None:
     """Refuse people (by their photographs) and detectors (by their weights) that also judge. InputError."""
     judged = {person.identity for person in judges.people}
-    both = set(people.photographs) & set(judges.photographs)
+    both = set(people.pictures()) & set(judges.pictures())
     both |= {person.photograph for person in people.people if person.identity in judged}
     if both:
         raise InputError(f"--width-people: {min(both)} judges as well (take the other half: PEOPLE.json[0::2])")

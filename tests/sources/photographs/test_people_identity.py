@@ -12,10 +12,10 @@ from PIL import Image
 
 from cloak_core.core.run_config import DECISIVE, check_same
 from cloak_core.files.errors import InputError
-from cloak_core.sources.photographs.fits import fit_people, people_identity
+from cloak_core.sources.photographs.crowd import Crowd
+from cloak_core.sources.photographs.fits import people_identity
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.person import Person, file_stamp, pack_mask
-from cloak_core.studies.trainings.run_record import _people
 from tests.sources.photographs.made_people import edit, write_people
 
 pytestmark = pytest.mark.slow
@@ -118,14 +118,15 @@ def test_what_contradicts_itself_is_refused_in_one_line(tmp_path: Path, words: s
 
 
 def test_a_training_goes_on_with_the_same_people_alone(tmp_path: Path) -> None:
-    fits = fit_people(load_people(write_people(tmp_path, 1)))
-    config = lambda people: dict.fromkeys(DECISIVE) | {"people": people}
-    recorded = json.loads(json.dumps(_people(fits)))
-    check_same(config(recorded), config(_people(fits)), tmp_path)
+    people = load_people(write_people(tmp_path, 1))
+    own = Crowd(people).record()
+    config = lambda record: dict.fromkeys(DECISIVE) | {"people": record}
+    recorded = json.loads(json.dumps(own))
+    check_same(config(recorded), config(own), tmp_path)
     for change in (nearer, CHANGES["others"]):
-        other = config(_people([replace(fits[0], person=change(fits[0].person))]))
+        other = config(Crowd(replace(people, people=(change(people.people[0]),))).record())
         with pytest.raises(InputError, match=r"was started with people\.identity = "):
             check_same(config(recorded), other, tmp_path)
     # Before 0.9 a run recorded hashes of its fits, which were finer then: it is refused, not continued with others.
     with pytest.raises(InputError, match=r"was started with people\.sha256 = "):
-        check_same(config({"sha256": "0" * 64}), config(_people(fits)), tmp_path)
+        check_same(config({"sha256": "0" * 64}), config(own), tmp_path)

@@ -13,10 +13,11 @@ from cloak_core.core.images import dressed
 from cloak_core.core.logo import Cover
 from cloak_core.core.objective import Step, gradient_step
 from cloak_core.core.paint import blank
+from cloak_core.core.source import NOBODY
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.hardening.hardening import Hardening, Material, harden
 from cloak_core.studies.hardening.pictures import Pictures
@@ -67,10 +68,9 @@ def test_a_turns_images_differ_where_the_logo_is(student: Student) -> None:
 def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothes(
     student: Student, tmp_path: Path
 ) -> None:
-    people = load_people(write_people(tmp_path, 2))
-    fits, bodies = fit_people(people), sample_bodies("train")
+    people, bodies = Crowd(load_people(write_people(tmp_path, 2))), sample_bodies("train")
     settings = HardenSettings(**(FEW | {"batch": 4, "people_share": 1.0, "size": 96}))
-    pool = Pool(settings, bodies, noise_backgrounds(), student.detector, people=fits)
+    pool = Pool(settings, bodies, noise_backgrounds(), student.detector, people=people)
     pair, cloak = pool.turn(0), pool.cloak(0, 0)
     draws = cloak.batcher.sampler.draw(0)
     own = OwnClothing(Cover(cloak.logo.face_ids[:1], cloak.logo.topology))  # any face: nothing is laid on it
@@ -84,7 +84,7 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
     few, material = replace(settings, steps=2), Material(bodies, noise_backgrounds(), people=people)
     assert harden(few, student, material, tmp_path / "out").step == 2
     with pytest.raises(InputError, match="begun with other people"):
-        harden(few, student, replace(material, people=None), tmp_path / "out", resume=True)
+        harden(few, student, replace(material, people=NOBODY), tmp_path / "out", resume=True)
 
 
 def test_decoys_show_the_last_cloaks_beside_patterns_that_nobody_trained(
