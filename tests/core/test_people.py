@@ -15,8 +15,10 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.source import BodyPlan
 from cloak_core.sources.photographs.crowd import Crowd
+from cloak_core.sources.photographs.fits import Fits
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.people import load_people
+from cloak_core.sources.photographs.person import Person
 from cloak_core.sources.photographs.source import PeopleSource, draw_framing
 from cloak_core.studies.trainings.training import train
 from tests.core.fakes import RedDetector, noise_backgrounds
@@ -66,10 +68,17 @@ class DrawsAlone(BodyPlan):
     require_visible = view
 
 
+class Unread(Fits):
+    """Fits of which nobody asks one."""
+
+    def expect(self, indices: object) -> None:
+        pass
+
+
 def people_sampler(count: int, poses: int = 1, outfits: int = 1, **changes) -> Sampler:
     """Draws of bodies and of `count` people, without a pixel of them."""
     chosen = settings(**changes)
-    people = PeopleSource([object.__new__(Fit)] * count, 64, chosen.run.seed)
+    people = PeopleSource(Unread([object.__new__(Person)] * count, lambda _: object.__new__(Fit)), 64, chosen.run.seed)
     people.identity = None  # of pixels, too
     mixed = Mixture(DrawsAlone(chosen.views, poses, outfits), people, chosen.photographs.people_share, chosen.run.seed)
     return Sampler(chosen, mixed, 5)

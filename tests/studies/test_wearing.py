@@ -15,7 +15,7 @@ from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.linear import SparseMap
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.fits import Fits, fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.sources.photographs.views import logo_positions
@@ -81,7 +81,7 @@ def test_a_red_cloth_hides_and_controls_do_not(people, red, tmp_path):
 def worn(spec, fit):
     """Which colours each pixel of a photograph wears, and the colours that it shows."""
     pattern = open_pattern(str(spec))[0]
-    places = PeopleSource([fit], 96).view({"person": 0}, None, pattern).places
+    places = PeopleSource(Fits([fit.person], lambda _: fit), 96).view({"person": 0}, None, pattern).places
     shown: SparseMap = pattern.map(places)
     return shown, shown.apply(torch.from_numpy(pattern.colors)).numpy()
 

@@ -44,14 +44,6 @@ class Fits(Sequence[Fit]):
         """read: gives a person's fit."""
         self.people, self._read = tuple(people), read
 
-    @staticmethod
-    def of(fits: Sequence[Fit]) -> Fits:
-        """Take fits that are in memory as they are; `Fits` stay what they are."""
-        if isinstance(fits, Fits):
-            return fits
-        held = {id(fit.person): fit for fit in fits}
-        return Fits((fit.person for fit in fits), lambda person: held[id(person)])
-
     def __len__(self) -> int:
         return len(self.people)
 
@@ -78,9 +70,6 @@ class Fits(Sequence[Fit]):
             read_ahead(self.people[index].crop.path)
             if isinstance(self._read, _Shelf):
                 self._read.expect(self.people[index])
-
-
-NOBODY = Fits.of(())
 
 
 class _Shelf:
@@ -173,8 +162,8 @@ def fits_well(quality: Mapping[str, float]) -> bool:
     return quality["covered"] >= LEAST_COVERED and quality["spilled"] <= MOST_SPILLED
 
 
-def those_who_fit(people: People, fits: Sequence[Fit], reason: str = UNFIT) -> People:
+def those_who_fit(people: People, fits: Fits, reason: str = UNFIT) -> People:
     """Select the people of these fits, in their order; the others are left out, for this reason."""
     missing = len(people) - len(fits)
     left_out = people.left_out | ({reason: missing} if missing else {})
-    return replace(people, people=Fits.of(fits).people, left_out=left_out)
+    return replace(people, people=fits.people, left_out=left_out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -58,7 +58,7 @@ class PeopleSource:
 
     def __init__(
         self,
-        fits: Sequence[Fit],
+        fits: Fits,
         size: int,
         seed: int = 0,
         context: Number = CONTEXT,
@@ -76,7 +76,7 @@ class PeopleSource:
     @cached_property
     def identity(self) -> str:
         """See `Source`."""
-        return sha256_record([people_identity(Fits.of(self.fits).people), self.size, self.context])
+        return sha256_record([people_identity(self.fits.people), self.size, self.context])
 
     @property
     def members(self) -> int:
@@ -85,8 +85,8 @@ class PeopleSource:
 
     def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
         """See `Source`. Column `person`: everybody equally often, in random order."""
-        if isinstance(self.fits, Fits):  # those of the next step are read from disk meanwhile
-            self.fits.expect(self._people_of(dealt.images + len(dealt.images)).tolist())
+        # Those of the next step are read from disk meanwhile.
+        self.fits.expect(self._people_of(dealt.images + len(dealt.images)).tolist())
         return {"person": self._people_of(dealt.images)}
 
     def _people_of(self, images: Int[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
