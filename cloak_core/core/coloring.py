@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.core.linear import SparseMap
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.technique import NO_TECHNIQUES, Techniques
 
 
 class Coloring:
-    """Makes C colours of free parameters: rows for `free`, then N values, then rows for `choose`.
+    """Makes C colours of free parameters: coarse grids' nodes, then N values, then rows for `choose`.
 
-    In this order: `free`, the sigmoid (gamut sigmoid), `mix`, `tone`, `choose`, the pattern's `spread`, `keep`.
+    In this order: grids are added, the sigmoid (gamut sigmoid), neighbours are averaged, `tone`, `choose`, the
+    pattern's `spread`, `keep`.
     """
 
     def __init__(
-        self, techniques: Techniques = NO_TECHNIQUES, pattern: Pattern | None = None, is_sigmoid: bool = False
+        self,
+        techniques: Techniques = NO_TECHNIQUES,
+        pattern: Pattern | None = None,
+        is_sigmoid: bool = False,
+        octaves: SparseMap | None = None,
+        smooth: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
+        """octaves: see `octave_sums`; smooth: averages values in [0, 1] over their neighbours."""
         self.is_sigmoid = is_sigmoid
         self._pattern = pattern or Pattern()
-        self._free, self._mix, self._tone, self._choose, self._keep = map(
-            techniques.at, ("free", "mix", "tone", "choose", "keep")
-        )
+        self._octaves = octaves
+        self._smooth = smooth
+        self._tone, self._choose, self._keep = map(techniques.at, ("tone", "choose", "keep"))
         is_shared = pattern is not None and pattern.value_count < pattern.count
-        is_plain = not is_shared and not self._mix and not self._tone and not self._choose
-        self.is_direct = is_plain and not is_sigmoid and not self._free
+        is_changed = is_sigmoid or octaves is not None or smooth is not None or self._tone or self._choose
+        self.is_direct = not is_shared and not is_changed
         """Whether parameters are the colours."""
 
     def begin(self, first: Float[Tensor, "C 3"]) -> Float[Tensor, "P 3"]:
@@ -40,8 +50,8 @@ class Coloring:
             for technique in self._choose
             if technique.rows
         ]
-        rows = [values.new_zeros(technique.rows, 3) for technique in self._free]
-        return torch.cat([*rows, *map(self._raw, [values, *chosen])])
+        nodes = values.new_zeros(self._octaves.width if self._octaves is not None else 0, 3)
+        return torch.cat([nodes, *map(self._raw, [values, *chosen])])
 
     def __call__(self, parameter: Float[Tensor, "P 3"], is_final: bool = False) -> Float[Tensor, "C 3"]:
         """Compute the colours in this part of the run, differentiably; is_final: as if it ended here."""
@@ -76,18 +86,15 @@ class Coloring:
 
     def _mixed(self, parameter: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Split the parameters; bring them into [0, 1], the values mixed."""
-        before, after = ([technique.rows for technique in group] for group in (self._free, self._choose))
-        count = len(parameter) - sum(before) - sum(after)
-        parts = parameter.split([*before, count, *after])
-        values, chosen = parts[len(before)], parts[len(before) + 1 :]
-        for technique, rows in zip(self._free, parts, strict=False):
-            values = technique.free(values, rows)
+        nodes = 0 if self._octaves is None else self._octaves.width
+        after = [technique.rows for technique in self._choose]
+        coarse, values, *chosen = parameter.split([nodes, len(parameter) - nodes - sum(after), *after])
+        if self._octaves is not None:
+            values = values + self._octaves(coarse)
         if self.is_sigmoid:
             values = torch.sigmoid(values)
-            chosen = tuple(map(torch.sigmoid, chosen))
-        for technique in self._mix:
-            values = technique.mix(values)
-        return values, chosen
+            chosen = map(torch.sigmoid, chosen)
+        return values if self._smooth is None else self._smooth(values), tuple(chosen)
 
     def _toned(self, values: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
         for technique in self._tone:

@@ -16,8 +16,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.coloring import Coloring
+from cloak_core.core.octaves import octave_sums
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.components import OptimizerSettings
+from cloak_core.core.smooth import neighbour_means, smoothed
 from cloak_core.core.technique import NO_TECHNIQUES, Techniques
 
 _STATE = "optimizer."
@@ -53,9 +55,18 @@ class ColorOptimizer:
         techniques: Techniques = NO_TECHNIQUES,
         pattern: Pattern | None = None,
     ) -> None:
-        """Begin with parameters that make the colours `initial`, or near them; pattern: where colours share values."""
+        """Begin with parameters that make the colours `initial`, or near them.
+
+        pattern: says where colours lie and which share values; without one, octaves and smoothing are off.
+        """
         self.settings = settings
-        self._coloring = Coloring(techniques, pattern, settings.gamut == "sigmoid")
+        octaves = smooth = None
+        if pattern is not None and settings.octaves > 1:
+            octaves = octave_sums(pattern.points, pattern.spacing, settings.octaves, pattern.period, initial.device)
+        if pattern is not None and settings.smooth:
+            means = neighbour_means(pattern.neighbours, pattern.value_count, initial.device)
+            smooth = partial(smoothed, means=means, rounds=settings.smooth)
+        self._coloring = Coloring(techniques, pattern, settings.gamut == "sigmoid", octaves, smooth)
         self._parameter = self._coloring.begin(initial).requires_grad_()
         if settings.optimizer == "adam":
             self._move = _adam

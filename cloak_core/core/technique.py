@@ -2,7 +2,7 @@
 
 Each file of `cloak_core/techniques` is one: a subclass of `Technique` with the hooks where it acts. Its settings stand
 among those of the component that it belongs to (`core.settings.components`). A step calls the hooks in this order:
-`free`, `mix`, `tone`, `choose`, `keep` (from free parameters to colours); `around` (while a detector runs), `penalty`.
+`tone`, `choose`, `keep` (from free parameters to colours); `around` (while a detector runs), `penalty`.
 
 Whatever a technique draws at random is a function of (seed, step). Off, it is not built.
 """
@@ -41,14 +41,6 @@ class Technique:
 
     rows: int = 0
     """Free parameters of its own, beside the N values."""
-
-    def free(
-        self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"]
-    ) -> Float[torch.Tensor, "N 3"]:
-        """Change the values before they are brought into [0, 1]; its rows begin as zeros."""
-
-    def mix(self, values: Float[torch.Tensor, "N 3"]) -> Float[torch.Tensor, "N 3"]:
-        """Change values in [0, 1] by those of their neighbours."""
 
     def tone(self, values: Float[torch.Tensor, "N 3"]) -> Float[torch.Tensor, "N 3"]:
         """Change each value by itself."""

@@ -94,6 +94,7 @@ def _require_plain(job: Job, world: World) -> None:
     """Refuse what a search by questions does not do. InputError."""
     if world.size > 1:
         raise InputError("--black-box-queries: searches in one process")
-    if job.settings.pattern.pattern != "free" or any(technique.bars_search for technique in job.techniques):
+    is_plain = job.settings.pattern.pattern == "free" and job.settings.optimization.octaves == 1
+    if not is_plain or any(technique.bars_search for technique in job.techniques):
         refused = "--colors-at-most, --pattern, --profile, --near, --octaves and --initial-share"
         raise InputError(f"--black-box-queries: free colours alone, without {refused}")

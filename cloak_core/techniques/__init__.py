@@ -16,11 +16,9 @@ from cloak_core.sources.bodies.logos.palette import read_palette
 from cloak_core.techniques.inks import Inks
 from cloak_core.techniques.interpolate import Interpolate
 from cloak_core.techniques.near import Near, read_garment
-from cloak_core.techniques.octaves import Octaves
 from cloak_core.techniques.printability import Printability
 from cloak_core.techniques.profile import Photographed
 from cloak_core.techniques.shake import Shake
-from cloak_core.techniques.smooth import Smoothing
 
 
 def build_techniques(
@@ -41,8 +39,6 @@ def build_techniques(
     if colors.near is not None:
         garment = read_garment(settings, pattern)
         built.append(Near(garment, colors.within, colors.within_most or 2 * colors.within))
-    if optimization.octaves > 1:
-        built.append(Octaves(pattern.points, pattern.spacing, optimization.octaves, pattern.period, device))
     if palette is not None:
         built.append(Printability(objective.nps_weight, palette, device))
     if colors.profile is not None:
@@ -52,6 +48,4 @@ def build_techniques(
             if detector.compiled:
                 raise InputError(f"--detector {detector.spec}: compiled, so --shake does not reach into it")
         built.append(Shake(settings.surrogates.shake, settings.run.seed))
-    if optimization.smooth:
-        built.append(Smoothing(pattern.neighbours, pattern.value_count, optimization.smooth, device))
     return Techniques(built)

@@ -15,39 +15,26 @@ import torch
 from jaxtyping import Float
 
 from cloak_core.core.linear import SparseMap
-from cloak_core.core.technique import Technique
 from cloak_core.files.lazy import Lazy
 
 sparse = Lazy("scipy.sparse")
 
 
-class Octaves(Technique):
-    """The coarse grids: grid k = 1, 2 ... has nodes 2^k times `spacing` apart, and values between them are multilinear.
+def octave_sums(
+    points: Float[np.ndarray, "N D"],
+    spacing: float,
+    count: int,
+    period: float | None = None,
+    device: torch.device | str = "cpu",
+) -> SparseMap:
+    """Map the nodes' values of all coarse grids together to their sums at the points.
 
-    points: of the N faces (or squares of a cloth), metres in D dimensions; count: of scales, the faces' own included;
-    period: what repeats in every dimension (None: nothing does), into which a whole number of nodes is fitted.
+    Grid k = 1, 2 ... has nodes 2^k times `spacing` apart, and values between them are multilinear. points: of the N
+    faces (or squares of a cloth), metres in D dimensions; count: of scales, the faces' own included; period: what
+    repeats in every dimension (None: nothing does), into which a whole number of nodes is fitted.
     """
-
-    bars_search = True
-
-    def __init__(
-        self,
-        points: Float[np.ndarray, "N D"],
-        spacing: float,
-        count: int,
-        period: float | None = None,
-        device: torch.device | str = "cpu",
-    ) -> None:
-        weights = sparse.hstack([_grid(points, spacing * 2**k, period) for k in range(1, count)], "csr")
-        self.rows = weights.shape[1]
-        """Of all grids' nodes together."""
-        self.summed = SparseMap.from_scipy(weights).to(device, torch.float32)
-        """Nodes' values to their sums at the points."""
-
-    def free(
-        self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"]
-    ) -> Float[torch.Tensor, "N 3"]:
-        return values + self.summed(own)
+    weights = sparse.hstack([_grid(points, spacing * 2**k, period) for k in range(1, count)], "csr")
+    return SparseMap.from_scipy(weights).to(device, torch.float32)
 
 
 def _grid(points: np.ndarray, spacing: float, period: float | None) -> sparse.csr_matrix:
