@@ -38,20 +38,6 @@ def current_mesh(obj: bpy.types.Object) -> Iterator[bpy.types.Mesh]:
         bpy.data.meshes.remove(copy, do_unlink=False)
 
 
-@contextmanager
-def bmesh_of(obj: bpy.types.Object) -> Iterator[bmesh.types.BMesh]:
-    """The mesh that is being edited; in Object Mode a copy of the object's own."""
-    if obj.mode == "EDIT":
-        yield bmesh.from_edit_mesh(obj.data)
-        return
-    bm = bmesh.new()
-    try:
-        bm.from_mesh(obj.data)
-        yield bm
-    finally:
-        bm.free()
-
-
 def edited(obj: bpy.types.Object) -> None:
     """The mesh in Edit Mode was changed: `current_mesh` makes a new copy."""
     _open.pop(obj.session_uid, None)

@@ -14,7 +14,6 @@ import numpy as np
 
 from ..blender.faces import logo_names
 from ..blender.marks import ORIGINAL_FACE, PREFIX, free_name, layer_name, mark
-from ..blender.mesh_arrays import bmesh_of
 from ..files.errors import InputError
 from ..session import session
 from ..ui.window import show_progress
@@ -81,22 +80,25 @@ def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> tuple[int, int
     With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
     also logos) carry over; each face keeps the index it came from in our attribute `ORIGINAL_FACE`.
     """
-    mesh = obj.data
-    with bmesh_of(obj) as bm:
-        before = len(bm.faces)
-        if not layer_name(mesh, ORIGINAL_FACE):
-            layer = bm.faces.layers.int.new(free_name(obj, PREFIX + ORIGINAL_FACE))
-            mark(mesh, ORIGINAL_FACE, layer.name)
-            for index, face in enumerate(bm.faces):
-                face[layer] = index
-        show_progress(0.05)
-        _split(obj, bm, keep_quads=not triangulate)
-        after = len(bm.faces)
-        if obj.mode == "EDIT":
-            bmesh.update_edit_mesh(mesh, destructive=True)
-        else:
-            bm.to_mesh(mesh)
-            mesh.update()
+    mesh, editing = obj.data, obj.mode == "EDIT"
+    bm = bmesh.from_edit_mesh(mesh) if editing else bmesh.new()
+    if not editing:
+        bm.from_mesh(mesh)
+    before = len(bm.faces)
+    if not layer_name(mesh, ORIGINAL_FACE):
+        layer = bm.faces.layers.int.new(free_name(obj, PREFIX + ORIGINAL_FACE))
+        mark(mesh, ORIGINAL_FACE, layer.name)
+        for index, face in enumerate(bm.faces):
+            face[layer] = index
+    show_progress(0.05)
+    _split(obj, bm, keep_quads=not triangulate)
+    after = len(bm.faces)
+    if editing:
+        bmesh.update_edit_mesh(mesh, destructive=True)
+    else:
+        bm.to_mesh(mesh)
+        bm.free()
+        mesh.update()
     return before, after
 
 

@@ -25,7 +25,16 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         if reason:
             wrapped(self.layout, context, reason)
         else:
-            self._body(context, active_body(context))
+            obj = active_body(context)
+            count = f"{len(obj.data.polygons):,} faces" if obj.mode != "EDIT" else "In Edit Mode"
+            self.layout.label(text=f"{obj.name}: {said(count)}", icon="MESH_DATA")
+            for worn in wearable(obj)[:MOST_WORN]:
+                row = self.layout.row(align=True)
+                row.label(text=worn.name, icon="MATCLOTH")
+                icon = "HIDE_ON" if worn.cloak.left_out else "HIDE_OFF"
+                row.prop(worn.cloak, "left_out", text="", icon=icon, toggle=True)
+            if unseen := ", ".join(f"'{o.name}'" for o in wearable(obj, meshes=False)[:MOST_WORN]):
+                wrapped(self.layout, context, UNSEEN.format(unseen), icon="ERROR")
         # The cube of a new file is a body, too.
         if not trainer_reason() and (reason or not logo_names(active_body(context).data)):
             self.layout.operator("cloak.try_it", icon="PLAY")
@@ -39,15 +48,3 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         row.operator("cloak.add_sample_body", text="Clothed", icon="ADD").people = "CLOTHED"
         self.outcome(context, "Sample body")
         self.outcome(context, "Test")
-
-    def _body(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
-        """Draw the body and what it wears, each piece with its visibility switch."""
-        count = f"{len(obj.data.polygons):,} faces" if obj.mode != "EDIT" else "In Edit Mode"
-        self.layout.label(text=f"{obj.name}: {said(count)}", icon="MESH_DATA")
-        for worn in wearable(obj)[:MOST_WORN]:
-            row = self.layout.row(align=True)
-            row.label(text=worn.name, icon="MATCLOTH")
-            icon = "HIDE_ON" if worn.cloak.left_out else "HIDE_OFF"
-            row.prop(worn.cloak, "left_out", text="", icon=icon, toggle=True)
-        if unseen := ", ".join(f"'{o.name}'" for o in wearable(obj, meshes=False)[:MOST_WORN]):
-            wrapped(self.layout, context, UNSEEN.format(unseen), icon="ERROR")

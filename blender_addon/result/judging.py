@@ -30,7 +30,7 @@ from ..ui.operator import CloakOperator
 from ..ui.window import areas, in_window, main_region, redraw, tell_status
 from . import eye, render_check
 from .evaluations import kept_back, read_evaluation
-from .reasons import ANSWER, WEAR, export_worn, foreign_reason, judged_reason, people_file, result_reason
+from .reasons import ANSWER, WEAR, export_worn, judged_reason, people_file, result_reason
 from .render_check import last_verdicts
 
 
@@ -57,19 +57,19 @@ class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_rea
         check = lambda spec, image: cloak_command(program, "detectors", "check", spec, "--image", image)
         commands = [render_check.prepare(plan), *(check(spec, image) for spec in specs for image in images)]
         uid = obj.session_uid
-        job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, specs, uid)))
+
+        def ended(job: Job) -> str | None:
+            if job.state != "done":
+                return None
+            found, body = render_check.verdicts(plan, specs, job.outputs[1:]), object_of(uid)
+            job.is_bad_news = not all(verdict.holds for verdict in found)
+            if body is not None:
+                body.cloak.verdict = render_check.describe_all(found)
+            run_list.refresh(bpy.context)
+            return render_check.describe_all(found)
+
+        job = launch(Job("Render check", commands, folder, "check", ended))
         return f"Rendering {len(images)} images into {folder}" + waits(job)
-
-
-def _judge(job: Job, plan: render_check.Plan, specs: tuple[str, ...], uid: int) -> str | None:
-    if job.state != "done":
-        return None
-    found, obj = render_check.verdicts(plan, specs, job.outputs[1:]), object_of(uid)
-    job.is_bad_news = not all(verdict.holds for verdict in found)
-    if obj is not None:
-        obj.cloak.verdict = render_check.describe_all(found)
-    run_list.refresh(bpy.context)
-    return render_check.describe_all(found)
 
 
 AROUND = 180  # an evaluation all around goes this many degrees to either side
@@ -150,8 +150,18 @@ class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
         settings = context.scene.cloak
-        reason = result_reason(context) or refusal(people_file, settings.judging.people)
-        return reason or refusal(judges, settings) or foreign_reason(active_body(context))
+        reason = result_reason(context) or refusal(people_file, settings.judging.people) or refusal(judges, settings)
+        if reason:
+            return reason
+        obj = active_body(context)
+        run = run_of(obj)
+        # They are fitted with the faces of Cloak's own people.
+        if obj.cloak.made_from or kept_back(run) or (run / "zoo.json").is_file() or (run / "cloth.png").is_file():
+            return ""
+        return (
+            f"People in photographs wear what was trained on Cloak's own people, and '{obj.name}' is none of them: "
+            "train on the sample body, or carry the colours over (cloak logo transfer)"
+        )
 
     def run(self, context: bpy.types.Context) -> str:
         settings, run = context.scene.cloak, run_of(active_body(context))

@@ -21,7 +21,7 @@ from ..poses.export import export_bodies
 from ..poses.poses import PoseChoice
 from ..training.run_list import read_state
 from ..training.runs import export_of, exported_scene, first_pose, is_cloth, run_of, side_folder
-from .evaluations import UNREADABLE, Judged, kept_back, read_judged
+from .evaluations import UNREADABLE, Judged, read_judged
 
 
 @of_the_body
@@ -129,14 +129,3 @@ def last_worn(run: Path) -> Worn | None:
         return Worn(folder, int(record["people"]), left, read_judged(record), tuple(pictures))
     except UNREADABLE:
         return None
-
-
-def foreign_reason(obj: bpy.types.Object) -> str:
-    """Why people in photographs cannot wear a body's run: they are fitted with the faces of Cloak's own people."""
-    run = run_of(obj)
-    if obj.cloak.made_from or kept_back(run) or (run / "zoo.json").is_file() or (run / "cloth.png").is_file():
-        return ""
-    return (
-        f"People in photographs wear what was trained on Cloak's own people, and '{obj.name}' is none of them: train "
-        "on the sample body, or carry the colours over (cloak logo transfer)"
-    )

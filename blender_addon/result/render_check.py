@@ -203,7 +203,15 @@ def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = S
         metre = 1 / bpy.context.scene.unit_settings.scale_length
         with evaluated_mesh(obj, scene.view_layers[0].depsgraph) as (mesh, matrix):
             body = to_world(vertex_points(mesh), matrix)
-        _aim(scene, holders[0], Vector((body.min(0) + body.max(0)) / 2), azimuth, DISTANCE * metre)
+        elevation, turn, distance = math.radians(ELEVATION), math.radians(azimuth), DISTANCE * metre
+        level = math.cos(elevation)
+        away = Vector((level * math.sin(turn), -level * math.cos(turn), math.sin(elevation)))
+        holders[0].location = Vector((body.min(0) + body.max(0)) / 2) + away * distance
+        holders[0].rotation_euler = away.to_track_quat("Z", "Y").to_euler()
+        camera.sensor_fit = "VERTICAL"
+        camera.angle = math.radians(FIELD_OF_VIEW)
+        camera.clip_start, camera.clip_end = distance / 100, distance * 100
+        scene.camera = holders[0]
         scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True, scene=scene.name)
     finally:
@@ -226,14 +234,3 @@ def set_up(scene: bpy.types.Scene, size: int, samples: int) -> None:
     scene.cycles.use_denoising = False
     scene.cycles.seed = 0
     colors.use_standard_view(scene)
-
-
-def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimuth: float, distance: float) -> None:
-    elevation, turn = math.radians(ELEVATION), math.radians(azimuth)
-    away = Vector((math.cos(elevation) * math.sin(turn), -math.cos(elevation) * math.cos(turn), math.sin(elevation)))
-    camera.location = pivot + away * distance
-    camera.rotation_euler = away.to_track_quat("Z", "Y").to_euler()
-    camera.data.sensor_fit = "VERTICAL"
-    camera.data.angle = math.radians(FIELD_OF_VIEW)
-    camera.data.clip_start, camera.data.clip_end = distance / 100, distance * 100
-    scene.camera = camera

@@ -20,21 +20,21 @@ class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer"):
     def run(self, context: bpy.types.Context) -> str:
         command = cloak_command(trainer(), "setup")
         preferences().answer = "Starting the trainer..."
-        job = Job("Test", [command], user_folder("test"), "test", _answered)
+
+        def ended(job: Job) -> str:
+            try:
+                record = json.loads(job.outputs[-1]) if job.state == "done" else {}
+                answer = "Cloak {cloak}, torch {torch}, Python {python}, {device}".format(**record)
+            except (ValueError, KeyError, TypeError, IndexError):
+                answer = f"The trainer does not work: {last_words(job.log) or 'no answer'}"
+                job.state = "failed"
+            preferences().answer = answer
+            return answer
+
+        job = Job("Test", [command], user_folder("test"), "test", ended)
         job.lane = "Test"
         launch(job)
         return "Testing the trainer: the answer appears in the preferences"
-
-
-def _answered(job: Job) -> str:
-    try:
-        record = json.loads(job.outputs[-1]) if job.state == "done" else {}
-        answer = "Cloak {cloak}, torch {torch}, Python {python}, {device}".format(**record)
-    except (ValueError, KeyError, TypeError, IndexError):
-        answer = f"The trainer does not work: {last_words(job.log) or 'no answer'}"
-        job.state = "failed"
-    preferences().answer = answer
-    return answer
 
 
 class CLOAK_OT_copy_install_line(CloakOperator, label="Copy Installation Line"):

@@ -7,7 +7,7 @@ from ..session import session
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, wrapped
 from ..ui.window import tool_at_work
-from .jobs import Job, TrainingJob
+from .jobs import TrainingJob
 from .preferences import PACKAGE, preferences, trainer_reason
 
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences choose and test it"
@@ -26,7 +26,13 @@ class CLOAK_PT_jobs(CloakPanel, label="Jobs"):
         session.panel_seen = True
         active = [(number, job) for number, job in enumerate(session.jobs) if job.active]
         for number, job in active:
-            self._job(context, number, job)
+            row = self.layout.row(align=True)
+            row.progress(factor=job.fraction, text=said(job.describe()))
+            row.operator("cloak.train_cancel", text="", icon="X").number = number
+            if isinstance(job, TrainingJob) and job.progress.figures():
+                figure(self.layout, job.progress.figures().capitalize(), FIGURES)
+            if job.notice:
+                wrapped(self.layout, context, job.notice, icon="ERROR")
         if active and (tool := tool_at_work()):
             wrapped(self.layout, context, f"What jobs bring waits for: {tool}")
         if reason := trainer_reason():
@@ -36,13 +42,3 @@ class CLOAK_PT_jobs(CloakPanel, label="Jobs"):
             row.operator("preferences.addon_show", text="", icon="PREFERENCES").module = PACKAGE
         elif not active:
             figure(self.layout, preferences().answer or "Trainer found", TRAINER, "CONSOLE")
-
-    def _job(self, context: bpy.types.Context, number: int, job: Job) -> None:
-        """Draw its progress, or its place in the queue."""
-        row = self.layout.row(align=True)
-        row.progress(factor=job.fraction, text=said(job.describe()))
-        row.operator("cloak.train_cancel", text="", icon="X").number = number
-        if isinstance(job, TrainingJob) and job.progress.figures():
-            figure(self.layout, job.progress.figures().capitalize(), FIGURES)
-        if job.notice:
-            wrapped(self.layout, context, job.notice, icon="ERROR")

@@ -5,19 +5,23 @@ import time
 
 import bpy
 import numpy as np
-from cloak.result import eye, outputs
+from cloak.result import eye, outputs, render_check
 from cloak.session import session
 from cloak.trainer.preferences import preferences
 from cloak.training import run_list
 from conftest import run_job
 from made import make_egg
 from test_colors import made_run
+from test_export import rig
 from test_headless import RED
 
 
-def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_trainer):
-    """From the buttons: what they ask for is understood, and what comes back is read."""
+def test_the_real_trainer_checks_evaluates_films_prints_and_looks(tmp_path, real_trainer, coarse_renders):
+    """From the buttons, on a rigged body posed by hand: they are understood, and what comes back is read."""
     obj = make_egg(10)
+    bone = rig(obj).pose.bones["spine"]
+    bone.rotation_mode = "XYZ"
+    bone.rotation_euler.z = 0.4
     ids = np.arange(40, 90)
     run = made_run(tmp_path, obj, ids, np.tile(np.float32([1, 0, 0]), (len(ids), 1)))
     spec = f"python:{RED}:load"
@@ -30,10 +34,18 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
     judging.images, judging.angle, judging.film_seconds = 8, 90, 0.5
     try:
         bpy.ops.cloak.result_load()
-        for press in (bpy.ops.cloak.evaluate, bpy.ops.cloak.turntable, bpy.ops.cloak.print_sheets):
+        settings.angle_step = 20
+        for press in (
+            bpy.ops.cloak.render_check,
+            bpy.ops.cloak.evaluate,
+            bpy.ops.cloak.turntable,
+            bpy.ops.cloak.print_sheets,
+        ):
             press()
             assert run_job(200).state == "done", session.job.message
             assert session.job.fraction == 1
+        scores = render_check.last_verdicts(run)[0].scores
+        assert max(scores[:2]) < min(scores[2:])  # the detector's person vanishes as it turns red
         found = run_list.read_state(run).evaluation
         assert found.images == 8 and [s.azimuth for s in found.worst_sectors()] == [-180, -90, 0, 90]
         assert 0 <= found.detectors[0].rates["clothing"][1].value <= 1
@@ -49,7 +61,7 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
             assert session.eye is not None and time.monotonic() < until, session.eye_closed_because
             time.sleep(0.05)
         glances = session.eye.seen.glances[spec]
-        assert glances["cloak"].score < glances["clothing"].score  # the detector's person vanishes as it turns red
+        assert glances["cloak"].score < glances["clothing"].score
         assert all(path.is_file() for path in session.eye.seen.pictures.values())
     finally:
         eye.close_eye()
