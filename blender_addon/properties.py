@@ -75,7 +75,6 @@ class CloakObject(bpy.types.PropertyGroup):
         "The camera does not see this piece, in training, judging and films",
         update=lambda self, context: session.note_change(geometry=True),
     )
-    verdict: props.text("Render Check", "What the detector said about the Cycles renders")
     made_from: props.text("Made From", "Of a sample body: which of Cloak's people it holds, and the hash of its faces")
 
 

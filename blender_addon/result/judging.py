@@ -13,7 +13,7 @@ from ..blender import colors
 from ..blender.blend_paths import absolute, first_free
 from ..blender.pictures import new_image, read_picture
 from ..body.garments import is_dressed
-from ..body.objects import active_body, object_of, of_the_body, refusal
+from ..body.objects import active_body, of_the_body, refusal
 from ..files.errors import InputError
 from ..files.writing import write_json, written
 from ..poses.export import poses_reason
@@ -56,15 +56,12 @@ class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_rea
         images = render_check.image_paths(plan)
         check = lambda spec, image: cloak_command(program, "detectors", "check", spec, "--image", image)
         commands = [render_check.prepare(plan), *(check(spec, image) for spec in specs for image in images)]
-        uid = obj.session_uid
 
         def ended(job: Job) -> str | None:
             if job.state != "done":
                 return None
-            found, body = render_check.verdicts(plan, specs, job.outputs[1:]), object_of(uid)
+            found = render_check.verdicts(plan, specs, job.outputs[1:])
             job.is_bad_news = not all(verdict.holds for verdict in found)
-            if body is not None:
-                body.cloak.verdict = render_check.describe_all(found)
             run_list.refresh(bpy.context)
             return render_check.describe_all(found)
 

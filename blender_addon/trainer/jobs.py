@@ -197,7 +197,7 @@ class Job:
 class TrainingJob(Job):
     """One `cloak train` and its run folder: started by `command`, or found running as `process`.
 
-    process: it needs the methods `poll` and `terminate` of `subprocess.Popen`. It goes on when this Blender closes.
+    process: it needs the method `poll` of `subprocess.Popen`. It goes on when this Blender closes.
     """
 
     appends = True
@@ -224,7 +224,7 @@ class TrainingJob(Job):
             super()._terminate()
 
     def _terminate(self) -> None:
-        if not self.run.is_dir():
+        if self.is_ours and not self.run.is_dir():
             super()._terminate()  # nothing to save yet
             return
         with contextlib.suppress(OSError):

@@ -10,6 +10,7 @@ from ..blender.faces import active_logo, logo_names
 from ..body.objects import active_body, body_reason, logo_reason, refusal
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
+from ..files.writing import written
 from ..poses.export import export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_options
 from ..session import session
@@ -19,7 +20,7 @@ from ..trainer.program import differing_options, require, train_command
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator
 from . import run_list, runs
-from .run_list import DONE, RUNNING, FoundTrainer, RunState, read_state, request_stop
+from .run_list import DONE, RUNNING, FoundTrainer, RunState, read_state
 from .runs import run_of
 
 
@@ -199,7 +200,8 @@ class CLOAK_OT_run_stop(CloakOperator, label="Stop", needs=partial(run_reason, a
         if job := session.training_of(run):
             job.cancel()
         else:
-            request_stop(run)
+            with written(run / "cancel"):
+                (run / "cancel").touch()
         return f"Stopping {run.name} after its current step"
 
 

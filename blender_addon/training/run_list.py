@@ -23,7 +23,6 @@ from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
 from ..files.locks import is_held
 from ..files.reading import read_json
-from ..files.writing import written
 from ..poses.export import RECORD
 from ..properties import output_folder
 from ..result.evaluations import SUMMARY, Evaluation, read_evaluation
@@ -140,18 +139,6 @@ class FoundTrainer:
         if is_held(self._run / ".lock"):
             return None
         return {DONE: 0, STOPPED: jobs.STOPPED}.get(read_events(self._run / "events.jsonl").outcome, 1)
-
-    def terminate(self) -> None:
-        """Ask it to end after its current step."""
-        request_stop(self._run)
-
-
-def request_stop(run: Path) -> None:
-    """Ask the trainer of this run to stop. Raises `InputError` if none runs."""
-    if not is_running(run):
-        raise InputError(f"{run.name} is not being trained")
-    with written(run / "cancel"):
-        (run / "cancel").touch()
 
 
 # --- the panel's list -------------------------------------------------------------------------------------------

@@ -193,7 +193,7 @@ class LiveColors:
 
     def give(self, obj: bpy.types.Object) -> None:
         """Make the run the body's."""
-        obj.cloak.run, obj.cloak.verdict = portable(str(self._run), blend_folder()), ""
+        obj.cloak.run = portable(str(self._run), blend_folder())
         self._given = True
 
     def body(self) -> bpy.types.Object | None:

@@ -27,7 +27,7 @@ def test_what_blend_files_store_keeps_its_name():
         " ".join(cls.__annotations__) for cls in cloak.properties.CLASSES
     )
     assert detector_names == "file weights spec options threshold judges checked answer works gradients"
-    assert object_names == "logo logo_index run run_place worn left_out verdict made_from"
+    assert object_names == "logo logo_index run run_place worn left_out made_from"
     assert judging_names == (
         "bodies frame_start frame_end frame_step backgrounds angle images ring eye_from eye_background "
         "people film_format "

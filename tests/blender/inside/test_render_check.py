@@ -70,7 +70,6 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
     bpy.ops.cloak.render_check()
     job = run_job(400)
     assert job.state == "done", (job.message, job.log.read_text()[-2000:])
-    assert obj.cloak.verdict == job.message
     assert (
         "detected in 0 of 2 renders with the cloak (highest score 0.10, reported from 0.5), in 2 without" in job.message
     )
