@@ -1,99 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a cloak is judged: what the panel lets the user set (kept on the scene), and what the trainer's judges found out.
+"""What the trainer's judges found out, why nothing can be shown or judged, and exports of a body that wears a run.
 
 `cloak evaluate` and `cloak wear` give each detector's rates in the same form.
 """
 
+import re
+import shutil
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, groupby
 from pathlib import Path
 
 import bpy
 
 from ..blender.blend_paths import absolute
+from ..body.garments import is_dressed, worn_by
+from ..body.objects import of_the_body, refusal
+from ..exchange.bodies import Bodies
+from ..exchange.face_lists import read_face_list
+from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..files.reading import read_json
+from ..poses.export import export_bodies
 from ..poses.poses import PoseChoice
 from ..trainer.program import SAMPLES
 from ..trainer.progress import finite
-from ..ui import props
+from ..training.runs import export_of, exported_scene, first_pose, is_cloth, run_of, side_folder
 
 UNREADABLE = (InputError, OSError, KeyError, TypeError, ValueError, AttributeError, IndexError)
 """What a record that somebody damaged may raise."""
-
-
-class CloakJudging(bpy.types.PropertyGroup):
-    """How a cloak is judged."""
-
-    bodies: props.choice(
-        "Bodies",
-        "What to evaluate on",
-        (
-            "KEPT",
-            "Kept Back",
-            "Bodies that training never saw, where it ran on Cloak's own people; else the bodies of the training",
-        ),
-        ("FRAMES", "Frames", "This body in the frames below: choose such as training did not see"),
-    )
-    frame_start: props.whole("Start", "First frame to evaluate on", 1)
-    frame_end: props.whole("End", "Last frame to evaluate on", 12)
-    frame_step: props.whole("Step", "Frames from one to the next", 1, min=1)
-    backgrounds: props.path(
-        "Backgrounds",
-        "Folder of photographs without people that training did not see; empty for procedural scenes that "
-        "training never sees",
-        "DIR_PATH",
-    )
-    angle: props.whole("Angle Step (°)", "Degrees from one azimuth to the next, all around the body", 15, min=1, max=90)
-    images: props.whole(
-        "Images",
-        "Images of each kind (the cloak, and each control), spread over bodies, angles and backgrounds. "
-        "More of them take longer and make the intervals narrower",
-        240,
-        min=8,
-        max=100_000,
-    )
-    ring: props.switch("Ring", "Draw success by azimuth as a ring around the body's feet", True)
-
-    eye_from: props.choice(
-        "From",
-        "Where the detector looks from",
-        ("VIEW", "View", "Where you look from, as you move around"),
-        ("CAMERA", "Camera", "The scene's camera"),
-    )
-    eye_background: props.whole(
-        "Background",
-        "Which background stands behind the body: a photograph of the training's folder by its number, or "
-        "a procedural scene where there is none",
-        min=0,
-        max=9999,
-    )
-
-    people: props.path(
-        "People", "People in photographs to wear the cloak: a people.json as COCO has them, or the folder it lies in"
-    )
-
-    film_format: props.choice(
-        "Format",
-        "What to write",
-        ("gif", "GIF", "Plays everywhere, large"),
-        ("mp4", "MP4", "Small; the trainer's Python needs the extra 'film' (PyAV)"),
-        ("png", "Pictures", "A folder of PNGs"),
-    )
-    film_seconds: props.number("Turntable", "Seconds that a turntable takes", 6.0, min=0.5, max=120.0, subtype="TIME")
-
-    @property
-    def frames(self) -> PoseChoice | None:
-        """This body's frames to evaluate on; None for the bodies that were kept back."""
-        if self.bodies == "KEPT":
-            return None
-        return PoseChoice("RANGE", self.frame_start, self.frame_end, self.frame_step)
-
-    @property
-    def backgrounds_option(self) -> str:
-        """The trainer's option for the evaluation's backgrounds."""
-        return f"--backgrounds={absolute(self.backgrounds) or 'procedural:test'}"
 
 
 THRESHOLD = 0.6  # of records that do not say theirs
@@ -211,3 +147,114 @@ def kept_back(run: Path) -> bool:
         return str(inputs.get("made_from") or inputs.get("scene", "")).startswith(tuple(SAMPLES.values()))
     except (InputError, AttributeError):
         return False
+
+
+# --- why nothing can be shown or judged, and what is judged ----------------------------------------------------------
+
+
+@of_the_body
+def result_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there are no colours to show."""
+    if not obj.cloak.run:
+        return f"'{obj.name}' has no training yet: press Start, or choose a run in the list"
+    run = run_of(obj)
+    if not run.is_dir():
+        return f"{run}: no such run folder"
+    return "" if (run / "colors.npy").is_file() else f"{run.name}: no colours yet; wait for the first step"
+
+
+@of_the_body
+def judged_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why nothing can be made of the body's run: no evaluation, no sheets to print, no film."""
+    return result_reason(context) or worn_reason(obj) or refusal(require_same_clothes, obj, run_of(obj))
+
+
+def worn_reason(obj: bpy.types.Object) -> str:
+    """Why what is on the model is not what would be judged; "" when it is."""
+    worn, run = obj.cloak.worn, run_of(obj)
+    if not worn or run is None or Path(worn) == run or not is_dressed(obj):
+        return ""
+    return f"The model wears {Path(worn).name}, chosen is {run.name}: press Load Colours"
+
+
+def export_worn(
+    context: bpy.types.Context, obj: bpy.types.Object, run: Path | None, choice: PoseChoice, folder: Path
+) -> Bodies:
+    """A scene package in `folder` (replaced) of what the camera sees, with the faces that the run's colours are for.
+
+    A cloth lies on the bodies as it does in the training and in Blender, whatever poses these are. Raises `InputError`
+    where the faces are not those of the training, and says which piece is there or is missing.
+    """
+    expected = read_face_list(run / "logo.npy").topology if run else None
+    require_same_clothes(obj, run)
+    done = export_of(run) if run else None
+    bodies, _ = export_bodies(context, obj, choice, done.logo if done else "")
+    if expected not in (None, bodies.topology):
+        raise InputError(
+            f"'{obj.name}' changed since {run.name} was trained: its faces, or those of its clothing, are others; undo "
+            "the change, or train again"
+        )
+    laid_out = first_pose(obj, exported_scene(run)).vertices[0] if is_cloth(run) else None
+    if laid_out is not None and laid_out.shape == bodies.vertices[0].shape:
+        bodies = replace(bodies, laid_out=laid_out, recorded_topology=bodies.topology)
+    shutil.rmtree(folder, ignore_errors=True)
+    write_scene(folder, bodies, creator="cloak add-on")
+    return bodies
+
+
+def require_same_clothes(obj: bpy.types.Object, run: Path | None) -> None:
+    """Raise `InputError` if the visible objects differ from those of the training, where the run records them."""
+    done = export_of(run) if run else None
+    names = done.objects if done else []
+    # A copied or appended character's pieces have numbers behind their names.
+    then = Counter(map(_unnumbered, names[1:]))
+    now = Counter(_unnumbered(o.name) for o in worn_by(obj) if names)
+    for name in sorted(now - then):
+        raise InputError(f"{run.name} was trained without '{name}': leave it out (step 1), or train again")
+    for name in sorted(then - now):
+        raise InputError(f"{run.name} was trained with '{name}': show it again, or train again")
+
+
+def _unnumbered(name: str) -> str:
+    return re.sub(r"\.\d{3,}$", "", name)
+
+
+# --- people in photographs -------------------------------------------------------------------------------------------
+
+WEAR, ANSWER = "worn by people", "answer.json"
+PICTURES = (".png", ".jpg", ".jpeg")
+
+
+def people_file(path: str) -> Path:
+    """The COCO file of people that a folder holds, or that was named. Raises `InputError`."""
+    if not path:
+        raise InputError("People is empty: choose a people.json, or the folder of photographs that it lies in")
+    chosen = Path(absolute(path))
+    found = [chosen] if chosen.is_file() else sorted(chosen.glob("*.json"), key=lambda p: (p.name != "people.json", p))
+    if not found:
+        raise InputError(f"{chosen}: no people.json in it (people as COCO has them, with masks and landmarks)")
+    return found[0]
+
+
+@dataclass(frozen=True)
+class Worn:
+    """What came out of wearing a run."""
+
+    folder: Path
+    people: int
+    left_out: int
+    detectors: tuple[Judged, ...]
+    pictures: tuple[Path, ...]
+
+
+def last_worn(run: Path) -> Worn | None:
+    """That of the latest wearing of a run; None where there is none."""
+    places = sorted(side_folder(run).glob(f"{WEAR}*/{ANSWER}"), key=lambda path: path.stat().st_mtime)
+    try:
+        record, folder = read_json(places[-1]), places[-1].parent
+        left = sum(int(count) for count in (record.get("left_out") or {}).values())
+        found = [path for path in folder.rglob("pictures/*/*") if path.suffix.lower() in PICTURES]
+        pictures = sorted(found, key=lambda path: (path.parent, not path.stem.startswith("before"), path.name))
+        return Worn(folder, int(record["people"]), left, read_judged(record), tuple(pictures))
+    except UNREADABLE:
+        return None

@@ -34,7 +34,7 @@ from ..training.detectors import judges
 from ..training.runs import is_cloth, run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
 from ..ui.window import Hooks, areas, between_strokes, main_region, redraw
-from .reasons import export_worn, worn_reason
+from .evaluations import export_worn, worn_reason
 from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
 LOG = logging.getLogger(__name__)

@@ -29,8 +29,16 @@ from ..translations import said
 from ..ui.operator import CloakOperator
 from ..ui.window import areas, in_window, main_region, redraw, tell_status
 from . import eye, render_check
-from .evaluations import kept_back, read_evaluation
-from .reasons import ANSWER, WEAR, export_worn, judged_reason, people_file, result_reason
+from .evaluations import (
+    ANSWER,
+    WEAR,
+    export_worn,
+    judged_reason,
+    kept_back,
+    people_file,
+    read_evaluation,
+    result_reason,
+)
 from .render_check import last_verdicts
 
 

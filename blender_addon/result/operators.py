@@ -40,7 +40,7 @@ from ..training.runs import first_pose, run_of
 from ..translations import said
 from ..ui import props
 from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
-from .reasons import result_reason
+from .evaluations import result_reason
 
 LIBRARY = ASSETS / "library"  # of the built extension
 INWARDS = (0.0, 0.35, 0.7)  # shares of the way from a face's middle to its corners, where its mean colour is taken

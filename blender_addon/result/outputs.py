@@ -23,7 +23,7 @@ from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
 from . import bake
-from .reasons import export_worn, judged_reason
+from .evaluations import export_worn, judged_reason
 from .viewpoints import of_camera
 
 SHEETS, TURNTABLE, FILM = "print sheets", "turntable", "film"

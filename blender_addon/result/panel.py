@@ -17,10 +17,9 @@ from ..translations import said
 from ..ui.drawing import icon_of, short
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import eye
-from .evaluations import CONTROLS, THRESHOLD, Judged
+from .evaluations import CONTROLS, THRESHOLD, Judged, last_worn, result_reason
 from .operators import ready_cloaks
 from .outputs import made
-from .reasons import last_worn, result_reason
 from .render_check import Verdict
 
 COARSE = "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"

@@ -9,7 +9,7 @@ from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
-from cloak.result.reasons import result_reason
+from cloak.result.evaluations import result_reason
 from cloak.training import runs
 from made import make_egg, set_mode
 

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.exchange.colors import write_colors
-from cloak.result import evaluations, outputs, reasons, ring
+from cloak.result import evaluations, outputs, ring
 from cloak.session import session
 from cloak.training import run_list, runs
 from conftest import folder_of, run_job, wait_for
@@ -166,7 +166,7 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     bpy.ops.cloak.wear()
     job = run_job()
     assert (job.state, job.message) == ("done", "2 people wear it")
-    worn = reasons.last_worn(folder_of(dressed))
+    worn = evaluations.last_worn(folder_of(dressed))
     assert (worn.people, worn.left_out, len(worn.pictures)) == (2, 1, 8)
     (judged,) = worn.detectors
     rates = {name: own.value for name, (_, own) in judged.rates.items()}
@@ -174,4 +174,4 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     assert [path.stem for path in worn.pictures[:2]] == ["before", "after run"]
     bpy.ops.cloak.wear()
     run_job()
-    assert reasons.last_worn(folder_of(dressed)).folder.name == "worn by people 2"
+    assert evaluations.last_worn(folder_of(dressed)).folder.name == "worn by people 2"

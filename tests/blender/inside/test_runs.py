@@ -16,7 +16,7 @@ from cloak.blender import colors
 from cloak.blender.mesh_arrays import topology
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
-from cloak.result.reasons import result_reason
+from cloak.result.evaluations import result_reason
 from cloak.session import session
 from cloak.trainer import jobs
 from cloak.training import run_list, runs

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cloak.blender import colors
 from cloak.exchange.colors import write_colors
-from cloak.result.reasons import judged_reason, result_reason
+from cloak.result.evaluations import judged_reason, result_reason
 from cloak.session import session
 from cloak.trainer import jobs
 from cloak.training import runs

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import pytest
 from cloak.body import objects as body
-from cloak.result.reasons import result_reason
+from cloak.result.evaluations import result_reason
 from cloak.session import session
 from cloak.training import run_list
 from cloak.training.operators import run_reason, train_reason

@@ -11,8 +11,8 @@ from cloak.logo import overlay
 from cloak.poses import export as scene_export
 from cloak.poses.export import export_summary
 from cloak.poses.poses import PoseChoice
+from cloak.result.evaluations import export_worn, judged_reason
 from cloak.result.judging import check_reason
-from cloak.result.reasons import export_worn, judged_reason
 from cloak.training import runs
 from conftest import folder_of, run_job
 from made import centers, make_egg
