@@ -17,7 +17,7 @@ from .logo import overlay, paint
 from .result import eye, ring
 from .result import operators as wearing
 from .session import session
-from .trainer import jobs, preferences
+from .trainer import jobs, program
 from .training import run_list
 from .ui import drawing
 
@@ -32,7 +32,7 @@ WATCHERS = (drawing.HOOKS, overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, wearing,
 """Objects that register something after the classes."""
 _commands: list[object] = []  # of the command line: `blender --command cloak`
 CLASSES = (
-    preferences.CloakPreferences,
+    program.CloakPreferences,
     *(
         cls
         for module in (import_module(f".{name}", __package__) for name in WITH_CLASSES)

@@ -12,8 +12,7 @@ from ..blender.mesh_arrays import require_object_mode
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..trainer.jobs import Job, run_cloak
-from ..trainer.preferences import trainer_reason, user_folder
-from ..trainer.program import SAMPLES, sample_words
+from ..trainer.program import SAMPLES, sample_words, trainer_reason, user_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
 from ..ui.window import areas, main_region

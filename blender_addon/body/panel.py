@@ -4,7 +4,7 @@
 import bpy
 
 from ..blender.faces import logo_names
-from ..trainer.preferences import trainer_reason
+from ..trainer.program import trainer_reason
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, wrapped
 from .garments import wearable

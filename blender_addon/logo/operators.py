@@ -25,7 +25,7 @@ from ..files.reading import read_npy
 from ..poses.export import export_bodies
 from ..properties import pose_choice, train_options
 from ..trainer.jobs import Job, run_cloak
-from ..trainer.preferences import user_folder
+from ..trainer.program import user_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
 

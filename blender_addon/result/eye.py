@@ -28,8 +28,7 @@ from ..files.reading import read_json
 from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.jobs import last_words
-from ..trainer.preferences import trainer
-from ..trainer.program import cloak_command, options, start_process
+from ..trainer.program import cloak_command, options, start_process, trainer
 from ..training.detectors import judges
 from ..training.runs import is_cloth, run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write

@@ -20,8 +20,7 @@ from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.jobs import Job, launch, run_cloak, waits
-from ..trainer.preferences import trainer
-from ..trainer.program import cloak_command, options, require
+from ..trainer.program import cloak_command, options, require, trainer
 from ..training import run_list, runs
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder

@@ -20,8 +20,7 @@ import bpy
 from ..files.errors import InputError
 from ..session import session
 from ..ui.window import between_strokes, end_notice, redraw, tell_status
-from .preferences import trainer
-from .program import cloak_command, start_process
+from .program import cloak_command, start_process, trainer
 from .progress import Progress, duration, read_events
 
 TICK_SECONDS = 0.25

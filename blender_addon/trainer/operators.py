@@ -10,8 +10,7 @@ from ..files.specs import reach
 from ..ui import props
 from ..ui.operator import CloakOperator
 from .jobs import Job, last_words, launch
-from .preferences import preferences, trainer, user_folder
-from .program import allow, cloak_command, install_line
+from .program import allow, cloak_command, install_line, preferences, trainer, user_folder
 
 
 class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer"):

@@ -8,7 +8,7 @@ from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, wrapped
 from ..ui.window import tool_at_work
 from .jobs import TrainingJob
-from .preferences import PACKAGE, preferences, trainer_reason
+from .program import PACKAGE, preferences, trainer_reason
 
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences choose and test it"
 FIGURES = (

@@ -14,8 +14,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
 from ..trainer.jobs import Job, launch, waits
-from ..trainer.preferences import trainer, user_folder
-from ..trainer.program import allow, cloak_command
+from ..trainer.program import allow, cloak_command, trainer, user_folder
 from ..trainer.progress import finite
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator, push_undo

@@ -15,8 +15,7 @@ from ..poses.export import export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_options
 from ..session import session
 from ..trainer.jobs import Job, TrainingJob, launch, waits
-from ..trainer.preferences import trainer
-from ..trainer.program import differing_options, require, train_command
+from ..trainer.program import differing_options, require, train_command, trainer
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator
 from . import run_list, runs

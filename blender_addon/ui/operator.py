@@ -8,8 +8,7 @@ import bpy
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
 from ..session import session
-from ..trainer.preferences import trainer_reason
-from ..trainer.program import Unasked
+from ..trainer.program import Unasked, trainer_reason
 from ..translations import said
 from .window import in_window, progress_cursor
 

@@ -7,7 +7,7 @@ import bpy
 
 from ..body.objects import NO_BODY, body_reason
 from ..session import session
-from ..trainer.preferences import trainer_reason
+from ..trainer.program import trainer_reason
 from ..translations import said
 
 

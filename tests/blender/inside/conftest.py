@@ -65,7 +65,7 @@ from cloak.blender import colors, faces  # noqa: E402
 from cloak.result import render_check  # noqa: E402
 from cloak.session import session  # noqa: E402
 from cloak.trainer import jobs  # noqa: E402
-from cloak.trainer.preferences import preferences  # noqa: E402
+from cloak.trainer.program import preferences  # noqa: E402
 
 
 @pytest.fixture(autouse=True)

@@ -115,7 +115,7 @@ def test_nothing_reaches_for_the_network_or_installs_packages(trees):
 
 def test_it_writes_into_no_folder_of_its_own():
     from cloak.properties import output_folder
-    from cloak.trainer.preferences import user_folder
+    from cloak.trainer.program import user_folder
 
     own, runs = Path(sys.modules["cloak"].__file__).parent, output_folder(bpy.context.scene.cloak)
     assert not user_folder("test").is_relative_to(own) and not runs.is_relative_to(own)

@@ -10,7 +10,7 @@ import bpy
 import pytest
 from cloak.properties import train_options
 from cloak.session import session
-from cloak.trainer.preferences import preferences
+from cloak.trainer.program import preferences
 from cloak.training import detectors
 from conftest import ROOT, make_launcher, run_job
 from test_detectors import add

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 from cloak.result import eye, outputs, render_check
 from cloak.session import session
-from cloak.trainer.preferences import preferences
+from cloak.trainer.program import preferences
 from cloak.training import run_list
 from conftest import run_job
 from made import make_egg

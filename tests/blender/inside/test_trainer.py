@@ -13,10 +13,8 @@ from cloak.files.errors import InputError
 from cloak.result import judging
 from cloak.session import session
 from cloak.trainer import jobs, program
-from cloak.trainer import preferences as preferences_module
 from cloak.trainer.jobs import Job
-from cloak.trainer.preferences import preferences, trainer_reason
-from cloak.trainer.program import cloak_command
+from cloak.trainer.program import cloak_command, preferences, trainer_reason
 from cloak.trainer.progress import Progress, take_event
 from cloak.training import runs
 from cloak.training.operators import train_reason
@@ -40,7 +38,7 @@ def nowhere(monkeypatch, tmp_path) -> Path:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PATH", "/bin")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    preferences_module._reason.cache_clear()
+    program._reason.cache_clear()
     preferences().program = ""
     return tmp_path / "home"
 
