@@ -18,8 +18,7 @@ import bpy
 from . import properties
 from .blender import marks
 from .blender.faces import import_face_list, logo_names
-from .body.objects import require_body, subdivide
-from .body.samples import add_from_scene
+from .body.objects import add_from_scene, require_body, subdivide
 from .exchange.scenes import read_scene
 from .files.errors import InputError, Stopped
 from .files.writing import written

@@ -17,8 +17,7 @@ from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
 from ..ui.window import areas, main_region
 from .garments import faces_over, wearable
-from .objects import logo_reason, subdivide
-from .samples import ASSETS, CLOTHES, add_people
+from .objects import ASSETS, CLOTHES, add_people, logo_reason, subdivide
 
 
 class CLOAK_OT_subdivide(BodyOperator, label="Subdivide Body"):

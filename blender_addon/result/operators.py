@@ -21,8 +21,7 @@ from ..blender.marks import READY_CLOTH, lay_uv
 from ..blender.mesh_arrays import mean_of_corners, mode_reason, topology
 from ..blender.pictures import METRES, cloth_of, pixels_at, read_picture, save_picture
 from ..body.garments import is_dressed, undress
-from ..body.objects import active_body, body_reason, logo_reason, of_the_body
-from ..body.samples import ASSETS, add_people
+from ..body.objects import ASSETS, active_body, add_people, body_reason, logo_reason, of_the_body
 from ..exchange.bodies import Bodies
 from ..exchange.cloth import CLOTH_FILE, corner_uv
 from ..exchange.colors import write_colors

@@ -39,10 +39,10 @@ def summary(values: list[tuple[float, float]]) -> str:
 
 
 def sample() -> bpy.types.Object:
-    from cloak.body import samples
+    from cloak.body import objects
     from cloak.exchange.scenes import read_scene
 
-    return samples.add_from_scene(bpy.context, read_scene(Path(SCENE)))
+    return objects.add_from_scene(bpy.context, read_scene(Path(SCENE)))
 
 
 def touch(obj: bpy.types.Object) -> None:

@@ -6,7 +6,6 @@ import pytest
 from cloak.blender import faces
 from cloak.blender.mesh_arrays import read, topology
 from cloak.body import objects as body
-from cloak.body import samples
 from cloak.exchange.bodies import Bodies
 from cloak.files.errors import InputError
 from cloak.poses.export import poses_reason
@@ -173,7 +172,7 @@ def test_a_scene_becomes_a_body_and_back():
     from cloak.poses.poses import PoseChoice
 
     bodies = made_bodies()
-    obj = samples.add_from_scene(bpy.context, bodies)
+    obj = body.add_from_scene(bpy.context, bodies)
     assert faces.logo_names(obj.data) == ["chest"]
     assert topology(obj) == bodies.topology
     again = export_bodies(bpy.context, obj, PoseChoice("RANGE", 1, 3, 1))[0]

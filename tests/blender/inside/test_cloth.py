@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cloak.blender import colors, faces, mesh_arrays, pictures
 from cloak.body import garments
-from cloak.body.samples import ASSETS
+from cloak.body.objects import ASSETS
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list
 from cloak.poses.export import export

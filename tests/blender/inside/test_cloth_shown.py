@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces, mesh_arrays
-from cloak.body.samples import ASSETS
+from cloak.body.objects import ASSETS
 from cloak.exchange.cloth import corner_uv
 from cloak.exchange.scenes import read_scene
 from cloak.poses.export import export

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cloak.blender import faces
 from cloak.blender.evaluated import read_surface
-from cloak.body import samples
+from cloak.body import objects
 from cloak.logo import stamp
 from cloak.logo.operators import heatmap_words, show_heat
 from made import add_ngons, make_egg
@@ -57,7 +57,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     facts = json.loads(answer("Test", cloak_command(python, "setup")))
     assert facts["torch"][0].isdigit() and facts["device"]
     answer("Sample", cloak_command(python, *sample_words(tmp_path / "sample")))
-    obj = samples.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
+    obj = objects.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
     write_scene(tmp_path / "scene", export_bodies(bpy.context, obj, PoseChoice())[0])
     allow([f"python:{RED}:load"])

@@ -6,7 +6,7 @@ import pytest
 from cloak.blender import colors, faces
 from cloak.blender.mesh_arrays import topology
 from cloak.body import garments
-from cloak.body.samples import CLOTHES, add_people
+from cloak.body.objects import CLOTHES, add_people
 from cloak.exchange.bodies import Bodies
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
