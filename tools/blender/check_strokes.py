@@ -99,6 +99,7 @@ def end_training_in_stroke(kind: str):
     from cloak.trainer.jobs import TrainingJob
     from cloak.training.operators import follow
 
+    colors.undress(body())  # what a round before left
     enter(STROKES[kind])
     yield 0.3
     GO.unlink(missing_ok=True)
