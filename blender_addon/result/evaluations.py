@@ -91,12 +91,6 @@ class Evaluation:
         parts = [words[self.unseen.get(what)].format(what) for what in ("bodies", "backgrounds")]
         return f"{self.images:,} images of each kind, {' and '.join(parts)}"
 
-    def worst_rates(self) -> dict[str, float]:
-        """Return the lowest success over the detectors for each control."""
-        rates = [(name, rate.value) for name, (rate, _) in chain(*(judged.rates.items() for judged in self.detectors))]
-        known = sorted((name, value) for name, value in rates if value is not None)
-        return dict(reversed(known))  # of several for one name the last one stays: the lowest
-
     def worst_sectors(self) -> tuple[Sector, ...]:
         """Return the lowest success over the detectors for each azimuth."""
         sectors = sorted(chain(*(d.sectors for d in self.detectors)), key=lambda sector: (sector.azimuth, sector.cloak))

@@ -109,19 +109,18 @@ beside controls on the same images. The result is shown here and as a ring aroun
             words.append(f"--scene={scene}")
         elif not kept_back(run) and runs.exported_scene(run):
             words.append(f"--scene={runs.exported_scene(run)}")
-        ended = lambda job: _evaluated(job, run)
+
+        def ended(job: Job) -> str | None:
+            found = read_evaluation(run)
+            run_list.refresh(bpy.context)
+            if found is None:
+                return None
+            rates = [judged.rates for judged in found.detectors]
+            job.is_bad_news = any((rate["logo"][0].value or 0) <= (rate["clothing"][0].value or 0) for rate in rates)
+            outcome = "The cloak hides no more than own clothing does" if job.is_bad_news else "Evaluation done"
+            return f"{outcome}: {found.describe()}"
+
         return f"Evaluating {run.name}" + run_cloak("Evaluation", words, folder, "evaluate", ended, True)
-
-
-def _evaluated(job: Job, run: Path) -> str | None:
-    found = read_evaluation(run)
-    run_list.refresh(bpy.context)
-    if found is None:
-        return None
-    rates = [judged.rates for judged in found.detectors]
-    job.is_bad_news = any((rate["logo"][0].value or 0) <= (rate["clothing"][0].value or 0) for rate in rates)
-    outcome = "The cloak hides no more than own clothing does" if job.is_bad_news else "Evaluation done"
-    return f"{outcome}: {found.describe()}"
 
 
 class CLOAK_OT_eye(CloakOperator, label="Detector's Eye", trains=True):
