@@ -2,7 +2,7 @@
 
 import bpy
 import numpy as np
-from cloak.blender import colors
+from cloak.blender import colors, occlusion
 from cloak.blender.pictures import image_pixels
 from cloak.result import bake
 from made import make_egg
@@ -43,6 +43,19 @@ def test_each_face_finds_its_colour_in_the_image():
     obj.data.materials.clear()
     obj.data.materials.append(material)
     assert np.abs(colors.own_face_colors(obj) - trained).max() < 1.01 / 255  # it shows what was baked
+
+
+def test_the_nearest_triangle_in_each_cell_is_the_one_that_all_of_them_say():
+    """Among them many that are smaller than a cell, as on a fine mesh."""
+    rng = np.random.default_rng(2)
+    corners = 12 * rng.random((300, 1, 3)) + rng.choice([0.02, 0.8], (300, 1, 1)) * rng.normal(size=(300, 3, 3))
+    depth, owner = occlusion.depth_buffer(corners.reshape(-1, 3), np.arange(900).reshape(-1, 3), (12, 10))
+    y, x = np.mgrid[:10, :12].reshape(2, -1) + 0.5
+    systems = np.concatenate([corners[:, :, :2].transpose(0, 2, 1), np.ones((300, 1, 3))], 1)
+    weights = np.linalg.inv(systems) @ np.stack([x, y, np.ones(120)])  # [triangle, corner, cell]
+    nearness = np.where((weights >= 0).all(1), (weights * corners[:, :, 2:]).sum(1), -np.inf)
+    assert np.allclose(depth.ravel(), nearness.max(0)) and 30 < (owner >= 0).sum() < 120
+    assert np.array_equal(owner.ravel(), np.where(np.isfinite(nearness.max(0)), nearness.argmax(0), -1))
 
 
 def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
