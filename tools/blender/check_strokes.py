@@ -116,6 +116,7 @@ def end_training_in_stroke(kind: str):
     waits = kind in ("sculpt", "paint")
     yield from move(0.57, 0.55, 7) if waits else until(lambda: not job.running)
     assert job.running == waits, "colours come after a stroke, and when Sculpt Mode or Texture Paint has been left"
+    yield from until(lambda: state() != before)  # the first stroke of a mode takes a busy machine seconds
     after = state()
     assert after != before, "the stroke did nothing"
     xdo("key", "ctrl+z")
