@@ -215,3 +215,15 @@ def test_advice_names_hardening_only_where_it_is() -> None:
     assert "cloak harden" not in words.advice(bad | {"spec": "tflite:net.tflite"})
     assert "cloak harden" not in words.advice(bad | {"spec": "jpeg=75:builtin"})
     assert "without any attack" in words.advice(bad | {"clean": bad["clean"] | {"recall_own": 0.5}})
+
+
+def test_the_card_says_what_renders_are_worth_in_photographs() -> None:
+    """Photographs first, one number each, and a sentence on what the renders say of them."""
+    card = short_card()
+    card["white_box"] = [hiding(card["white_box"][0], 0.99)]
+    row = card["white_box"][0] | {"success_own": 0.0, "ci95_own": [0.0, 0.09]}
+    card["photographs"] = {"people": 40, "rows": {"made against it": row}}
+    photographed, rendered = words.lines(card)
+    assert (photographed["value"], rendered["value"]) == ("0 %", "99 %")
+    said = "hides 0 % (95 % interval 0 – 9 %): what hides on renders does not hide there."
+    assert said in words.headline(card)

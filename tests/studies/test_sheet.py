@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import pandas as pd
-from PIL import Image
+import pytest
+from PIL import Image, ImageDraw
 
 from cloak_core.core.evaluation.results import CORNERS
 from cloak_core.studies.wearing.pages import CAPTION, FOUND, HEAD, HIDDEN, TILE, TITLE, Album
@@ -31,3 +32,14 @@ def test_the_sheet_marks_who_is_hidden(tmp_path: Path) -> None:
     assert near(sheet.getpixel((2 * TILE - 8, strip + height)), HIDDEN)
     assert (tmp_path / "pictures").is_dir()
     assert HIDDEN[0] > HIDDEN[1] and FOUND[1] > FOUND[0]  # as on a card: red is hidden, green is found
+
+
+def test_the_sheet_counts_those_whom_it_does_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda _, place, words, *more, **options: said.append(words))
+    album = Album(tmp_path, [f"{k}.jpg" for k in range(19)], {"": 0.5})
+    nobody = pd.DataFrame(columns=["detector", "score", *CORNERS])
+    for person in range(19):
+        album.add("grey", person, Image.new("RGB", (8, 8)), nobody)
+    album.write()
+    assert any("hidden in 19 of 19 (19 people judged, 12 of them shown)" in words for words in said)

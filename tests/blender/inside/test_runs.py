@@ -273,3 +273,12 @@ def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_t
     assert run_list.is_running(tmp_path)
     holder.communicate(timeout=120)
     assert not run_list.is_running(tmp_path)
+
+
+def test_a_found_training_that_dies_has_no_invented_exit_code(orphan):
+    choose("Body Brust_Ärmel")
+    bpy.ops.cloak.run_attach()
+    wait_for(lambda: session.job.progress.step >= 2)
+    os.kill(orphan, signal.SIGKILL)
+    job = run_job()
+    assert job.state == "failed" and "ended without a word after step" in job.message and "code" not in job.message

@@ -1,5 +1,6 @@
 """What the trainer is started with: a Python that has it, and settings that can work."""
 
+import operator
 import re
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ from cloak.trainer.program import cloak_command, preferences, trainer_reason
 from cloak.trainer.progress import Progress, take_event
 from cloak.training import runs
 from cloak.training.operators import train_reason
+from cloak.ui import window
 from conftest import run_job
 from made import make_egg, set_mode
 
@@ -189,3 +191,22 @@ def test_run_folders_never_collide(tmp_path):
     runs.input_folder(first).mkdir()
     assert runs.new_run(tmp_path, "a:b", "c*?").name == "a_b c_ 2"
     assert runs.new_run(tmp_path, "..", "..").name == "run" or ".." not in runs.new_run(tmp_path, "..", "..").parts
+
+
+def test_no_timer_acts_while_a_tool_is_at_work(tmp_path, stub, monkeypatch):
+    """Each that is registered anywhere waits; what a job's end does comes when the tool has ended."""
+    timers = []
+    for name, module in [
+        (n, m) for n, m in sys.modules.items() if n.startswith("cloak.") and getattr(m, "__file__", 0)
+    ]:
+        for timer in re.findall(r"timers\.register\(([\w.]+)", Path(module.__file__).read_text()):
+            timers.append(f"{name}.{timer}")
+            assert hasattr(operator.attrgetter(timer)(module), "__wrapped__"), timers[-1]
+    assert len(timers) >= 5
+    ended = []
+    job = jobs.launch(Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", ended.append))
+    job._process.wait()
+    monkeypatch.setattr(window, "tool_at_work", lambda: "Sculpt")
+    assert jobs.tick() == jobs.TICK_SECONDS and job.running and not ended
+    monkeypatch.undo()
+    assert run_job().state == "done" and ended == [job]

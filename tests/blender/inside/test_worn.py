@@ -125,3 +125,17 @@ def test_colours_go_to_what_the_body_itself_wears_whatever_it_is_called(chest, r
     bpy.data.batch_remove([shirt, worn])
     with pytest.raises(RuntimeError, match="'Body' wears no 'Shirt' with the faces of the export"):
         bpy.ops.cloak.result_load()
+
+
+def test_a_stamp_takes_what_is_seen_and_no_face_under_clothing(chest):
+    shirt = add_shirt(chest)
+    shirt.data.attributes.new("G", "FLOAT", "FACE")  # the user's
+    settings = bpy.context.scene.cloak
+    settings.stamp_center, settings.stamp_size = 0.5, 0.4
+    bpy.ops.cloak.logo_stamp(add=False)
+    name = chest.cloak.logo
+    assert name == "G.001" and faces.read_faces(shirt, name).sum() > 10 and not faces.read_faces(chest, name).any()
+    assert overlay.active_stats(chest).covered == ()
+    shirt.cloak.left_out = True
+    bpy.ops.cloak.logo_stamp(add=True)
+    assert faces.read_faces(chest, name).sum() > 10
