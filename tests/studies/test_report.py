@@ -5,11 +5,15 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
+from cloak_core.studies.report import plots
+from cloak_core.studies.report.page import page_style
 from cloak_core.studies.report.words import interval, percent
+from cloak_core.studies.trained_run import History
 from tests.sources.photographs.test_coco_reader import with_value
 from tests.studies.made_evaluation import made_results, write_run
 
@@ -120,3 +124,15 @@ def test_pictures_stay_in_their_folder(tmp_path: Path) -> None:
     path.write_text(json.dumps(pictures))
     with pytest.raises(InputError, match=r"secret\.png"):
         make_report(run)
+
+
+def test_a_curve_of_many_points_is_drawn_by_its_extremes_and_its_running_mean() -> None:
+    value = np.zeros(100_000)
+    value[54_321] = 9.0
+    with page_style():
+        figure = plots.training_curves(
+            History(losses={"loss": list(zip(np.arange(1e5).tolist(), value.tolist(), strict=True))})
+        )
+    extremes, mean = figure.axes[0].lines
+    assert len(extremes.get_xdata()) <= 2 * plots.MOST_POINTS and extremes.get_ydata().max() == 9.0
+    assert mean.get_ydata().max() == pytest.approx(9 / 2000) and len(mean.get_xdata()) <= plots.MOST_POINTS

@@ -1,6 +1,7 @@
 """What the extension puts into Blender, and that it leaves nothing behind."""
 
 import threading
+import types
 
 import bpy
 import cloak
@@ -115,3 +116,16 @@ def test_every_panel_is_drawn_whatever_there_is(there, request):
         request.getfixturevalue("ready" if there == "body" else "dressed")
     for cls in (c for c in cloak.CLASSES if issubclass(c, bpy.types.Panel)):
         assert cls.poll(bpy.context) in (True, False) and drawn(cls) is not None
+
+
+def test_buttons_of_one_operator_have_tooltips_of_their_own():
+    for name, values in (
+        ("add_sample_body", {"people": ["BARE", "CLOTHED"]}),
+        ("stamp_drag", {"kind": ["SETTINGS", "LETTER", "SMILEY"]}),
+        ("logo_stamp", {"add": [False, True]}),
+    ):
+        cls = next(c for c in cloak.CLASSES if c.__name__ == f"CLOAK_OT_{name}")
+        rna = getattr(bpy.ops.cloak, name).get_rna_type()
+        ((key, choices),) = values.items()
+        told = [cls.description(bpy.context, types.SimpleNamespace(bl_rna=rna, **{key: choice})) for choice in choices]
+        assert len(set(told)) == len(choices), told

@@ -210,3 +210,15 @@ def test_no_timer_acts_while_a_tool_is_at_work(tmp_path, stub, monkeypatch):
     assert jobs.tick() == jobs.TICK_SECONDS and job.running and not ended
     monkeypatch.undo()
     assert run_job().state == "done" and ended == [job]
+
+
+def test_the_line_that_installs_the_trainer_names_the_wheel_that_was_chosen(nowhere):
+    preferences().wheel = "~/my wheels/cloak_core-2.0.0-py3-none-any.whl"
+    try:
+        with pytest.raises(InputError) as error:
+            program.trainer()
+        assert str(error.value).endswith(
+            f'uv tool install "{nowhere}/my wheels/cloak_core-2.0.0-py3-none-any.whl[onnx]"'
+        )
+    finally:
+        preferences().wheel = ""
