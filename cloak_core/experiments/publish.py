@@ -11,9 +11,8 @@ from cloak_core.core.pictures import open_picture
 from cloak_core.experiments.runner import experiments, finished
 from cloak_core.experiments.tables import readable
 from cloak_core.files.reading import read_json
-from cloak_core.studies.report.charts import Rows
+from cloak_core.studies.report.charts import Rows, publish_rows
 from cloak_core.studies.report.page import data_uri, write_page
-from cloak_core.studies.report.records import publish_rows
 
 SHOWN, FOLDED = 40, 24
 """Rows of a table on the page, all of them being in numbers.csv; longer ones than the second are folded."""

@@ -38,13 +38,12 @@ from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_leftovers, write_json, written
 from cloak_core.studies.pace import in_turn, measured_pace
-from cloak_core.studies.report.charts import group
+from cloak_core.studies.report.charts import group, publish_rows
 from cloak_core.studies.report.plots import KINSHIPS, transfer_map
-from cloak_core.studies.report.records import publish_rows
 from cloak_core.studies.report.style import save_figure, style
 from cloak_core.studies.report.words import file_name, percent, short_name
 from cloak_core.studies.store import RunStore
-from cloak_core.studies.training_store import Trained, training_times
+from cloak_core.studies.training_store import training_times
 
 FORMAT = "cloak transfer 1"
 LOW = 0.25
@@ -64,20 +63,17 @@ _FAMILIES = {
 """By what a name holds, the first that fits: all YOLOs are of one family, whoever made them."""
 
 
-def family_of(spec: str) -> str:
-    """Read a detector's family from its spec: darknet:yolov3.cfg:... -> "yolo", onnx:nanodet_m.onnx -> "nanodet"."""
-    name = short_name(spec).lower()
-    last = name.split(" @")[0].rpartition(" ")[2]
-    known = (family for part, family in _FAMILIES.items() if part in name)
-    return next(known, re.match(r"[a-z]*", last)[0] or last)
-
-
 def families(specs: Iterable[str], overrides: Iterable[str] = ()) -> dict[str, str]:
-    """Find each detector's family by its spec; `overrides` are NAME=FAMILY, NAME a part of a spec.
+    """Find each detector's family by its spec: darknet:yolov3.cfg:... -> "yolo", onnx:nanodet_m.onnx -> "nanodet".
 
-    InputError: not so spelled, or no spec has it.
+    `overrides` are NAME=FAMILY, NAME a part of a spec. InputError: not so spelled, or no spec has it.
     """
-    family_by_spec = {spec: family_of(spec) for spec in specs}
+    family_by_spec = {}
+    for spec in specs:
+        name = short_name(spec).lower()
+        last = name.split(" @")[0].rpartition(" ")[2]
+        known = (family for part, family in _FAMILIES.items() if part in name)
+        family_by_spec[spec] = next(known, re.match(r"[a-z]*", last)[0] or last)
     for override in overrides:
         name, mark, family = override.rpartition("=")
         matching = [spec for spec in family_by_spec if name in spec]
@@ -245,7 +241,12 @@ class Matrix:
     def cell(self, ablation: str, judged: str) -> dict:
         """Train an ablation without one detector and let it judge: plain values."""
         surrogates, split, settings = self.surrogates_for(judged), self.store.split, self._settings(ablation)
-        trained = [self._trained(surrogates, seed, settings) for seed in self.store.options.seed_list]
+        trained = []
+        for seed in self.store.options.seed_list:
+            limit = {} if self.deadline is None else {"max_seconds": self.deadline - time.monotonic()}
+            if limit and limit["max_seconds"] <= 0:
+                raise Stopped("the time budget is spent; the same command goes on with what is left")
+            trained.append(self.store.train_faces(self.faces, surrogates, seed=seed, **settings, **limit))
         test = {"controls": STANDARD} | self.cameras.test
         results = self.store.measure_repetitions(trained, self.cameras.angles, [judged], **test)
         complete = trained[0].settings
@@ -265,12 +266,6 @@ class Matrix:
             **training_times(trained),
             "materials": split.record(),
         }
-
-    def _trained(self, surrogates: tuple[str, ...], seed: int, settings: dict) -> Trained:
-        limit = {} if self.deadline is None else {"max_seconds": self.deadline - time.monotonic()}
-        if limit and limit["max_seconds"] <= 0:
-            raise Stopped("the time budget is spent; the same command goes on with what is left")
-        return self.store.train_faces(self.faces, surrogates, seed=seed, **settings, **limit)
 
 
 # --- its figures

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image, ImageDraw
 
 from cloak_core.core.evaluation.results import CORNERS
-from cloak_core.studies.wearing.pages import CAPTION, FOUND, HEAD, HIDDEN, TILE, TITLE, Album
+from cloak_core.studies.wearing.wearing import CAPTION, FOUND, HEAD, HIDDEN, TILE, TITLE, Album
 
 
 def near(pixel: tuple[int, ...], color: tuple[int, ...]) -> bool:

@@ -11,29 +11,31 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 from cloak_core.core.batches import Batch, Batcher
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.geometry import face_centres, face_normals
+from cloak_core.core.geometry import face_areas, face_centres, face_normals
 from cloak_core.core.images import dressed
-from cloak_core.core.logo import Logo, make_logo
+from cloak_core.core.logo import Logo, make_logo, region_mask
 from cloak_core.core.objective import Objective, StepFigures, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.pattern import Pattern
+from cloak_core.core.prints import PRINTS
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.source import NOBODY, Cast
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
+from cloak_core.patterns.cloth import ClothPattern
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.bodies.people.samples import HEADWEAR
 from cloak_core.sources.bodies.source import BodyPlan, BodySource
-from cloak_core.studies.hardening.decoys import FlatCloth, Texture
-from cloak_core.studies.hardening.logos import SQUARE, WIDTHS, draw_colors, draw_logo, first_cloth
+from cloak_core.studies.hardening.decoys import TEXTURE, FlatCloth, Texture, random_texture
 from cloak_core.studies.hardening.settings import HardenSettings
 
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
@@ -220,3 +222,103 @@ class Pool:
             elevation=f"{ELEVATIONS[slot % len(ELEVATIONS)]}",
             **pattern,
         )
+
+
+# --- logos and first colours: as many kinds as one can think of, and none of those that results are judged on
+#
+# A draw that comes near a judged one (chest + thighs, shirt + trousers) is drawn again, so that what is learned must
+# hold on logos that were never seen.
+
+JUDGED = (("chest", "thighs"), ("shirt", "trousers"))
+"""Regions of the logos that are kept for judging."""
+TOO_ALIKE = 0.7
+"""Area in common over area in either, from which a draw counts as one of them."""
+LEAST, MOST = 0.05, 1.0
+"""Shares of the body's area."""
+CANDIDATES = 6
+"""Logos of which the one nearest a share drawn evenly is taken; the shapes alone are small three times out of four,
+and a detector that saw few large cloaks falls to them."""
+
+
+def draw_logo(bodies: Bodies, rng: np.random.Generator) -> Int64[np.ndarray, " L"]:
+    """Draw the faces of a logo: a few balls about points of the body, a slab of it, or named regions.
+
+    Whole, or one side of it. Large ones are as likely as small ones.
+    """
+    areas = face_areas(bodies)
+    areas = areas / areas.sum()
+    wanted = rng.uniform(LEAST, MOST)
+    drawn = [_fitting(bodies, areas, rng) for _ in range(CANDIDATES)]
+    return np.flatnonzero(min(drawn, key=lambda chosen: abs(areas[chosen].sum() - wanted)))
+
+
+def _fitting(bodies: Bodies, areas: np.ndarray, rng: np.random.Generator) -> Bool[np.ndarray, " F"]:
+    """Draw a random shape, neither too small nor too large nor near one that is judged."""
+    judged = [
+        np.any([region_mask(bodies, name) for name in names], axis=0)
+        for names in JUDGED
+        if all(name in bodies.regions for name in names)
+    ]
+    for _ in range(1000):
+        chosen = _shape(bodies, rng)
+        if rng.random() < 0.35:
+            angle = rng.uniform(0, 2 * np.pi) if rng.random() < 0.5 else np.pi / 2
+            chosen &= face_normals(bodies)[:, [0, 2]] @ np.array([np.cos(angle), np.sin(angle)]) > 0
+        share = areas[chosen].sum()
+        alike = any(areas[chosen & mask].sum() > TOO_ALIKE * areas[chosen | mask].sum() for mask in judged)
+        if LEAST <= share <= MOST and not alike:
+            return chosen
+    raise RuntimeError(f"no random logo fits scene '{bodies.name}'")
+
+
+def _shape(bodies: Bodies, rng: np.random.Generator) -> Bool[np.ndarray, " F"]:
+    centres, kind = face_centres(bodies), rng.random()
+    if kind < 0.4 or not bodies.regions:
+        chosen = np.zeros(len(centres), bool)
+        for _ in range(rng.integers(1, 6)):
+            about = centres[rng.integers(len(centres))]
+            chosen |= ((centres - about) ** 2).sum(1) < rng.uniform(0.1, 0.4) ** 2
+        return chosen
+    if kind < 0.75:
+        low, high = np.sort(rng.uniform(centres[:, 1].min(), centres[:, 1].max(), 2))
+        return (centres[:, 1] >= low) & (centres[:, 1] <= high)
+    chosen = np.zeros(len(centres), bool)
+    # Headwear lies on the head, which is a region already; what dressing it by itself teaches has not been measured.
+    names = rng.permutation([name for name in bodies.regions if name not in HEADWEAR])[: rng.integers(1, 4)]
+    for name in names:
+        chosen |= bodies.regions[str(name)]
+    return chosen
+
+
+def draw_colors(centres: Float32[np.ndarray, "L 3"], rng: np.random.Generator) -> Float32[np.ndarray, "L 3"]:
+    """Draw the first colours of a logo: grey, one colour, noise of each face, or blocks of a few centimetres."""
+    kind = rng.random()
+    if kind < 0.3:
+        return np.full(centres.shape, 0.5, np.float32)
+    if kind < 0.5:
+        return np.tile(rng.random(3), (len(centres), 1)).astype(np.float32)
+    if kind < 0.75:
+        return rng.random(centres.shape).astype(np.float32)
+    cells = np.floor(centres / rng.uniform(0.03, 0.15)).astype(np.int64)
+    code = (cells * np.array([73856093, 19349663, 83492791])).sum(1) % 997
+    return rng.random((997, 3)).astype(np.float32)[code]
+
+
+# --- cloths that repeat
+
+WIDTHS = (20.0, 55.0)
+"""Centimetres of the piece that repeats; published textures are worn at 25 to 50."""
+SQUARE = 1.0
+"""Centimetres of what has one colour."""
+PRINTED = 0.3
+"""Share of the cloths that begin as a plain print; the others begin as a pattern that nobody trained."""
+
+
+def first_cloth(cloth: ClothPattern, rng: np.random.Generator) -> Float32[np.ndarray, "S 3"]:
+    """Draw the first colours of a cloth's squares, which lie row by row."""
+    if rng.random() < PRINTED:
+        return PRINTS[str(rng.choice(sorted(PRINTS)))].at(cloth.centres)
+    texture = random_texture(rng)
+    row, column = ((np.arange(count) + 0.5) * TEXTURE / count for count in (cloth.grid.rows, cloth.grid.columns))
+    squares = texture[:, row.astype(int)][:, :, column.astype(int)]
+    return np.ascontiguousarray(squares.reshape(3, -1).T, np.float32)

@@ -6,27 +6,33 @@ Whatever shows rates (experiments, reports, cards) makes such rows and draws the
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_bytes
+from cloak_core.files.specs import without_folders
+from cloak_core.files.writing import write_text
 from cloak_core.studies.report.style import (
     INK,
     SERIES,
     WIDTH,
-    azimuth_axis,
     legend_above,
     look_of,
     new_figure,
     panel_title,
-    percent_along_x,
     percent_axis,
 )
 from cloak_core.studies.report.words import short_names
@@ -136,15 +142,22 @@ class Lines:
             return None
         figure, axes = new_figure(*self.size, len(panels), sharey=True)
         for axis, (panel, mine) in zip(axes, panels.items(), strict=True):
-            places = self._places(mine + crosses)
+            values, scale = sorted(set(column(mine + crosses, self.x))), 100 if self.x in PERCENT else 1
+            places = {value: k if self.even else scale * value for k, value in enumerate(values)}
             for value, line in group(mine, self.series).items():
                 k = series.index(value)
-                look, aside = self._look(k, value, names, line), 0.08 * (k - (len(series) - 1) / 2) if self.even else 0
-                line = sorted(line, key=lambda row: row[self.x])
+                look = {"label": names.get(value) or self.label.format(value)} | look_of(k, value)
+                if value in SERIES and (self.x == "threshold" or len(line) > MOST_MARKERS):
+                    look["marker"] = None
+                if all(row.get("n") == 1 for row in line):
+                    look["ls"] = "none"  # yes or no of single images: a line would make a trend of them
+                aside, line = 0.08 * (k - (len(series) - 1) / 2) * self.even, sorted(line, key=lambda row: row[self.x])
                 self._line(axis, [float(places[row[self.x]] + aside) for row in line], line, look, first=not k)
-                self._cross(axis, places, select(crosses, **{self.series: value} if self.series else {})[:1], look)
+                for row in select(crosses, **{self.series: value} if self.series else {})[:1]:
+                    look |= {"label": f"{look['label']}, {list(self.points.values())[-1]}", "marker": "x", "ls": ""}
+                    axis.plot([places[row[self.x]]], [row[self.y]], **look)
             panel_title(axis, names.get(panel, str(panel)), len(panels))
-            self._x_axis(axis, places)
+            self._x_axis(axis, values)
         if self.y == "success":
             percent_axis(axes[0], self.rate)
         else:
@@ -152,26 +165,6 @@ class Lines:
             axes[0].set_ylabel(AXES.get(self.y, self.y.replace("_", " ")))
         legend_above(figure)
         return figure
-
-    def _cross(self, axis: Axes, places: Mapping, rows: Rows, look: Mapping) -> None:
-        for row in rows:
-            label = f"{look['label']}, {list(self.points.values())[-1]}"
-            axis.plot([places[row[self.x]]], [row[self.y]], ls="", marker="x", color=look["color"], label=label)
-
-    def _places(self, rows: Rows) -> dict:
-        """Find the places of the values of x along the axis."""
-        values = sorted(set(column(rows, self.x)))
-        if self.even:
-            return {value: k for k, value in enumerate(values)}
-        return {value: 100 * value if self.x in PERCENT else value for value in values}
-
-    def _look(self, k: int, value: object, names: Mapping[str, str], line: Rows) -> dict:
-        look = {"label": names.get(value) or self.label.format(value)} | look_of(k, value)
-        if value in SERIES and (self.x == "threshold" or len(line) > MOST_MARKERS):
-            look["marker"] = None
-        if all(row.get("n") == 1 for row in line):
-            look["ls"] = "none"  # yes or no of single images: a line would make a trend of them
-        return look
 
     def _line(self, axis: Axes, x: Sequence[float], rows: Rows, look: dict, *, first: bool) -> None:
         if self.interval == "bars":
@@ -187,16 +180,18 @@ class Lines:
             own = SERIES[CLOTHING]
             axis.plot(x, column(rows, CLOTHING), color=INK, lw=1.2, ls=":", marker=own.marker, label=own.label)
 
-    def _x_axis(self, axis: Axes, places: Mapping) -> None:
-        if self.x == "angle":
-            azimuth_axis(axis)
+    def _x_axis(self, axis: Axes, values: Sequence[float]) -> None:
+        axis.set_xlabel(AXES.get(self.x, self.x.replace("_", " ")))
+        if self.x == "angle":  # whole degrees, at steps people count in
+            low, high = axis.get_xlim()
+            steps = (1, 2, 5, 10, 15, 30, 45, 60, 90)
+            axis.xaxis.set_major_locator(MultipleLocator(next((s for s in steps if (high - low) / s <= 13), 90)))
+            axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "\u2212"))
         if self.x == "threshold":
             axis.axvline(self.mark, color=INK, lw=0.8, ls=":", zorder=0)
-        axis.set_xlabel(AXES.get(self.x, self.x.replace("_", " ")))
         if self.even:
-            axis.set_xticks(
-                range(len(places)), [f"{value:,}" if isinstance(value, int) else f"{value:g}" for value in places]
-            )
+            labels = [f"{value:,}" if isinstance(value, int) else f"{value:g}" for value in values]
+            axis.set_xticks(range(len(values)), labels)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,7 +218,10 @@ class Bars:
         room = 0.28 if not self.series else max(0.42, 0.1 * len(group(rows, self.series)))
         figure, axes = new_figure(WIDTH, 1.0 + room * len(lines), len(panels), sharey=True)
         for axis, (panel, mine) in zip(axes, panels.items(), strict=True):
-            percent_along_x(axis, self.rate)
+            axis.set(xlim=(-0.02, 1.02), xlabel=self.rate)
+            axis.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])  # short enough for panels beside each other
+            axis.set_xticks([0.25, 0.75], minor=True)
+            axis.grid(axis="x", which="minor")
             axis.set_yticks(range(len(lines)), [names.get(line, str(line)) for line in lines])
             axis.set_ylim(len(lines) - 0.5, -0.5)
             axis.grid(axis="y", visible=False)
@@ -278,3 +276,37 @@ class Rings:
         axis.set_xticks(np.radians([0, 90, 180, 270]), ["front", "left", "back", "right"])
         figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left")
         return figure
+
+
+# --- rows that stay with the project: a CSV file a kind of study, and one of how each was made
+
+MAX_BYTES = 64 << 20
+
+
+def publish_rows(folder: Path, table: str, study: str, rows: Rows, made: Mapping[str, object]) -> Path:
+    """Put a study's rows into FOLDER/TABLE.csv in place of its earlier ones; returns the file.
+
+    Detectors stand there by their short names. made: command, versions and counts, a row of FOLDER/studies.csv, where
+    paths lose their folders. InputError: a file there is no such table.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    names = detector_names(rows)
+    shown = [
+        {key: names.get(str(value), value) if key in SPECS else value for key, value in row.items()} for row in rows
+    ]
+    told = {key: without_folders(value) if key == "command" else value for key, value in made.items()}
+    _replace(folder / "studies.csv", f"{table}/{study}", [told])
+    return _replace(folder / f"{table}.csv", study, shown)
+
+
+def _replace(path: Path, study: str, rows: Rows) -> Path:
+    """Write these rows under a study's name into a table, which keeps those of other studies as they are."""
+    table = pd.DataFrame([{"study": study} | row for row in rows], dtype=object)
+    if path.exists():
+        try:
+            known = pd.read_csv(io.BytesIO(read_bytes(path, MAX_BYTES)), dtype=str, keep_default_na=False)
+            table = pd.concat([known[known["study"] != study], table])
+        except (ValueError, KeyError) as error:
+            raise InputError(f"{path}: not a table of studies ({error!r})") from None
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))
+    return path

@@ -12,7 +12,6 @@ from pathlib import Path
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
-from matplotlib.ticker import MultipleLocator
 
 from cloak_core.files.writing import replace_file
 
@@ -111,15 +110,6 @@ def percent_axis(axis: object, label: str = "attack success") -> None:
     axis.set_ylabel(label)
 
 
-def percent_along_x(axis: object, label: str = "attack success") -> None:
-    """Set up rates along x, with marks short enough for panels beside each other."""
-    axis.set_xlim(-0.02, 1.02)
-    axis.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
-    axis.set_xticks([0.25, 0.75], minor=True)
-    axis.grid(axis="x", which="minor")
-    axis.set_xlabel(label)
-
-
 def panel_title(axis: object, name: str, panels: int = 1) -> None:
     """Name one of several panels beside each other; the more panels, the smaller the text."""
     if panels > 1:
@@ -127,15 +117,6 @@ def panel_title(axis: object, name: str, panels: int = 1) -> None:
         axis.set_title("\n".join(lines), fontsize=8 if panels == 2 else 7)
     else:
         axis.set_title(name)
-
-
-def azimuth_axis(axis: object) -> None:
-    """Set up whole degrees along x, at steps people count in. Call it when everything is drawn."""
-    axis.set_xlabel("azimuth (degrees)")
-    low, high = axis.get_xlim()
-    steps = (1, 2, 5, 10, 15, 30, 45, 60, 90)
-    axis.xaxis.set_major_locator(MultipleLocator(next((s for s in steps if (high - low) / s <= 13), 90)))
-    axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "\u2212"))
 
 
 def legend_above(figure: Figure) -> None:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from PIL import Image, ImageDraw
+from torch import Tensor
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluate import Patterns, measure_frozen
-from cloak_core.core.evaluation.controls import NAMES, RESAMPLED, STANDARD
+from cloak_core.core.evaluation.controls import CLOTHING, NAMES, RESAMPLED, STANDARD
 from cloak_core.core.evaluation.measure import OnProgress, check_asked
-from cloak_core.core.evaluation.results import NOBODY, Results
+from cloak_core.core.evaluation.results import CORNERS, NOBODY, Results
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import false_alarms, finite, side_record, success_record
 from cloak_core.core.logo import Cover, select_region
+from cloak_core.core.pictures import save_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import new_folder, require_new, write_json, write_text
@@ -24,7 +30,9 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.opening import clothes_cover, open_pattern
-from cloak_core.studies.wearing.pages import Album
+from cloak_core.studies.report.pictures import PAPER, font, to_pil
+from cloak_core.studies.report.style import INK
+from cloak_core.studies.report.words import short_name
 
 CONTROLS = (*STANDARD, RESAMPLED)
 """What people wear beside what is judged, on shirt and trousers or what --logo says."""
@@ -117,3 +125,114 @@ def _table(results: Results, people: People) -> str:
     shown = shown.assign(person=[people.people[pose].number for pose in shown["pose"]])
     columns = ["detector", "clothes", "photograph", "person", "seen_from", "score", "other", "other_name"]
     return shown[columns].map(as_cell).to_csv(index=False, float_format="%.4f", lineterminator="\n")
+
+
+# --- pictures of dressed people, with the boxes that detectors still draw
+#
+# They show real people: none of them is ever published with the project.
+
+COLORS = ((224, 52, 28), (30, 110, 220), (20, 150, 80), (190, 60, 190), (230, 150, 0), (0, 160, 170))
+SHEET_PEOPLE = 12
+TILE, CAPTION, TITLE, HEAD = 240, 22, 26, 50
+"""Of the sheet, pixels: a picture's side, the strip below it, the line above a row, and that above all."""
+FOUND, HIDDEN = (26, 122, 70), (176, 58, 36)
+"""As on a card: green is a detector that is right, red a person who is hidden from it."""
+ROWS = {
+    CLOTHING: "own clothing, the photograph as it is",
+    "grey": "grey all over the clothes",
+    "random": "random colours all over the clothes",
+    "resampled": "own clothing, laid on as the cloak is",
+}
+"""What the controls' rows are."""
+
+
+class Album:
+    """Writes pictures/PERSON/before.jpg and after CLOTHES.jpg, and a contact sheet with the controls as well.
+
+    The sheet has a column for each of a few people, named above it, and a row for each thing that they wear; below
+    every picture stands whether she is found or hidden.
+    """
+
+    def __init__(self, folder: Path, people: Sequence[str], thresholds: Mapping[str, float]) -> None:
+        """thresholds: each detector's own, by its spec; boxes above it are drawn."""
+        self._folder, self._people, self._thresholds = folder, people, thresholds
+        step = max(1, len(people) // SHEET_PEOPLE)
+        self._shown = list(range(0, len(people), step))[:SHEET_PEOPLE]
+        self._tiles: dict[str, dict[int, Image.Image]] = {}
+        self._scores: dict[str, list[float | None]] = {}
+
+    def add_all(self, clothes: str, people: np.ndarray, images: Float[Tensor, "B 3 H W"], boxes: pd.DataFrame) -> None:
+        """Write the images of these people in the same clothes; see `OnImages`."""
+        for person, image in zip(people.tolist(), images, strict=True):
+            self.add(clothes, person, to_pil(image), boxes[(boxes["image"] == person).to_numpy()])
+
+    def add(self, clothes: str, person: int, image: Image.Image, boxes: pd.DataFrame) -> None:
+        """Write one image, with each detector's boxes in a colour of its own; boxes: as in `Results.boxes`."""
+        if clothes not in NAMES or clothes == CLOTHING:
+            picture = image.copy()
+            self._draw_boxes(picture, boxes, 1.0)
+            name = "before" if clothes == CLOTHING else f"after {file_name(clothes)}"
+            place = self._folder / "pictures" / file_name(self._people[person])
+            place.mkdir(parents=True, exist_ok=True)
+            save_picture(place / f"{name}.jpg", picture, quality=90)
+        # Boxes and scores are drawn at the sheet's own size: shrunk with the picture nobody could read them.
+        tile = image.resize((TILE, TILE), Image.Resampling.LANCZOS)
+        best = self._draw_boxes(tile, boxes, TILE / image.width)
+        self._scores.setdefault(clothes, []).extend(best)
+        if person in self._shown:
+            self._tiles.setdefault(clothes, {})[person] = _captioned(tile, best)
+
+    def _draw_boxes(self, picture: Image.Image, boxes: pd.DataFrame, scale: float) -> list[float | None]:
+        """Draw what is above each detector's threshold; return the best score of each, None where she is hidden."""
+        draw, best = ImageDraw.Draw(picture), []
+        for d, threshold in enumerate(self._thresholds.values()):
+            above, color = (boxes["detector"] == d) & (boxes["score"] > threshold), COLORS[d % len(COLORS)]
+            rows = boxes.loc[above, [*CORNERS, "score"]].to_numpy()
+            for *corners, score in rows.tolist():
+                x1, y1, x2, y2 = (scale * corner for corner in corners)
+                if x2 > x1 and y2 > y1:
+                    draw.rectangle((x1, y1, x2, y2), outline=color, width=2)
+                    draw.text((x1 + 3, max(y1, 0) + 1), f"{score:.2f}", color, font(13, bold=True))
+            best.append(float(rows[:, 4].max()) if len(rows) else None)
+        return best
+
+    def write(self) -> None:
+        """Write sheet.jpg."""
+        height = TILE + CAPTION + TITLE
+        sheet = Image.new("RGB", (max(TILE * len(self._shown), 720), HEAD + height * len(self._tiles)), PAPER)
+        draw = ImageDraw.Draw(sheet)
+        left = 6
+        for d, (spec, threshold) in enumerate(self._thresholds.items()):
+            words = f"{short_name(spec)}, boxes above {threshold:g}"
+            draw.text((left, 4), words, COLORS[d % len(COLORS)], font(15, bold=True))
+            left += round(draw.textlength(words, font(15, bold=True))) + 24
+        for column, person in enumerate(self._shown):
+            draw.text((column * TILE + 6, 28), self._people[person][-26:], INK, font(13))
+        count = len(self._people)
+        whose = "" if count == len(self._shown) else f" ({count} people judged, {len(self._shown)} of them shown)"
+        for row, (name, tiles) in enumerate(self._tiles.items()):
+            top = HEAD + row * height
+            scores = self._scores[name]
+            words = f"{ROWS.get(name, name)}: hidden in {scores.count(None)} of {len(scores)}{whose}"
+            draw.text((6, top + 4), words, INK, font(15, bold=True))
+            for column, person in enumerate(self._shown):
+                if person in tiles:
+                    sheet.paste(tiles[person], (column * TILE, top + TITLE))
+        save_picture(self._folder / "sheet.jpg", sheet, quality=88)
+
+
+def _captioned(tile: Image.Image, best: Sequence[float | None]) -> Image.Image:
+    """Put below a picture whether she is found or hidden, on red where no detector finds her."""
+    found = [score for score in best if score is not None]
+    words = "hidden" if not found else f"found {max(found):.2f}"
+    if len(best) > 1 and found and len(found) < len(best):
+        words = f"found by {len(found)} of {len(best)}, {max(found):.2f}"
+    whole = Image.new("RGB", (TILE, TILE + CAPTION), FOUND if found else HIDDEN)
+    whole.paste(tile, (0, 0))
+    ImageDraw.Draw(whole).text((6, TILE + 2), words, (255, 255, 255), font(14, bold=True))
+    return whole
+
+
+def file_name(name: str) -> str:
+    """A name as a file's: letters, digits, dots, dashes."""
+    return re.sub(r"[^A-Za-z0-9._=-]+", "-", name).strip("-.") or "unnamed"
