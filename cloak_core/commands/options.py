@@ -80,14 +80,10 @@ def keep_freed_memory() -> bool:
 class DetectorOptions:
     """How detectors are loaded and run."""
 
-    person_class: str | None = None
-    """Name or index of the class to look for (default: person); SPEC@person=CLASS for one of several detectors."""
     precision: Literal["float32", "bfloat16", "auto"] = "float32"
     """bfloat16: autocast (faster on GPUs, rough gradients); auto: where the device gains."""
     compile: bool = False
     """Use torch.compile (needs a C++ compiler, and time for each image size)."""
-    layout: str | None = None
-    """Output layout of an ONNX model: yolov5, yolov8, yolox, nanodet ... (default: told from the file)."""
     download: bool = False
     """Fetch missing official weights of torchvision and transformers models."""
 

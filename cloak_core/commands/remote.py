@@ -41,7 +41,7 @@ OWN = (".lock", "cancel")
 OUTPUTS = ("out", "events", "publish", "leaderboard", "junit", "directory", "to", "chart")
 """Options that name what is written. Every other path, and every text that names something, is read."""
 PLAIN = (
-    *("text", "name", "names", "about", "command", "licence", "region", "box", "kin", "person_class", "layout"),
+    *("text", "name", "names", "about", "command", "licence", "region", "box", "kin"),
     *("device", "ray", "made_from", "only", "rungs", "zoo", "defence", "technique"),
 )
 """Options of text that name no file, though one may be called so."""

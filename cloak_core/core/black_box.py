@@ -31,6 +31,8 @@ from cloak_core.core.training import RunResult, TrainingLoop
 from cloak_core.core.world import World
 from cloak_core.files.errors import InputError
 
+QUERY_CHANGE = 0.1
+"""How far a query moves the colours to either side, in units of colour."""
 EVERY = 8
 """Steps from one look at the colours themselves to the next."""
 CELLS = (8, 64)
@@ -178,7 +180,7 @@ class Search(TrainingLoop):
             # It belongs to the step that begins: a run that goes on from the checkpoint before it measures again.
             facts = {"step": self.step + 1, "success": step.figures.success, "disappearance": step.figures.loss}
             self.tell("round", queries=asked, **facts)
-        moves = self._directions(batch, colors) * self.settings.queries.query_change
+        moves = self._directions(batch, colors) * QUERY_CHANGE
         ahead, step_ahead = self._ask(batch, (colors + moves).clamp(0, 1))
         behind, step_behind = self._ask(batch, (colors - moves).clamp(0, 1))
         self.optimizer.follow(((ahead - behind)[:, None, None] * moves).mean(0))

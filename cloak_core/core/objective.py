@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.batches import Batch, Company
+from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.outcomes import as_anything, only_hers
 from cloak_core.core.detector.protocol import Detections, Detector, join_detections
 from cloak_core.core.detector.scoring import is_detected
@@ -92,7 +93,7 @@ class Objective:
                     loss.backward()
                 disappearance += loss.detach()
                 answers[number].append(join_detections([detections]))
-                reported += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
+                reported += is_detected(detections, THRESHOLD).sum() / (len(images) * len(asked))
             if part.grad is not None:
                 gradients.append(part.grad)
         detections = {number: join_detections(parts) for number, parts in answers.items() if parts}
@@ -125,7 +126,7 @@ class Objective:
         """Compute what detector `number` adds to each image's loss."""
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
-        point = min(self.detectors[number].operating_point, self.run.threshold)
+        point = min(self.detectors[number].operating_point, THRESHOLD)
         return person_loss(detections, settings.loss, point)
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.batches import Batch, Batcher, Prefetcher
+from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.core.ensemble import sureness
 from cloak_core.core.events import OnEvent, read_events
@@ -133,7 +134,7 @@ class TrainingLoop(Loop):
         is_short_and_done = self.step == self.steps < self.settings.run.preview_every
         if self.world.is_first and (self.due(self.settings.run.preview_every) or is_short_and_done):
             path = self.folder.previews / f"step-{self.step:08d}.png"
-            save_preview(path, step.images, next(iter(step.detections.values())), self.settings.run.threshold)
+            save_preview(path, step.images, next(iter(step.detections.values())), THRESHOLD)
             self.tell("preview", path=f"previews/{path.name}")
         if self.world.is_first and self.due(self.settings.run.snapshot_every):
             self._write_snapshot()

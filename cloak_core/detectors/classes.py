@@ -52,11 +52,9 @@ def person_index(names: Sequence[str] | None, person_class: str, count: int, sou
     if wanted.isdigit() and int(wanted) < count:
         return int(wanted)
     if names is None:
-        raise InputError(
-            f"{source}: the names of its {count} classes are unknown; give --person-class INDEX or a names file"
-        )
+        raise InputError(f"{source}: the names of its {count} classes are unknown; give @person=INDEX or a names file")
     known = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    raise InputError(f"{source}: no class {person_class!r} among its {count} ({known}); name one with --person-class")
+    raise InputError(f"{source}: no class {person_class!r} among its {count} ({known}); name one with @person=")
 
 
 def names_beside(cfg: Path, count: int) -> tuple[str, ...] | None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
 
 NO_LAYOUT = {
-    "layout": "--layout is for onnx:FILE",
+    "layout": "a layout is for onnx:FILE",
     "pixels": "bgr, range, mean and std are for onnx:FILE",
     "stretch": "it stretches unless told letterbox; drop stretch",
 }

@@ -119,5 +119,5 @@ def check_size(size: tuple[int, int], what: object) -> tuple[int, int]:
 def with_person_class(spec: str, person_class: str) -> str:
     """Write the spec of the same detector looking for that class, so that its spec alone loads it again."""
     if parse_spec(spec).person_class is not None:
-        raise InputError(f"detector {spec!r}: says person= already; drop --person-class")
+        raise InputError(f"detector {spec!r}: says person= already; drop person_class")
     return f"{spec}{',' if _OPTIONS.match(spec) else '@'}person={person_class}"

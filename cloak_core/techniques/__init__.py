@@ -38,7 +38,7 @@ def build_techniques(
         built.append(Inks(colors.colors_at_most, fixed))
     if colors.near is not None:
         garment = read_garment(settings, pattern)
-        built.append(Near(garment, colors.within, colors.within_most or 2 * colors.within))
+        built.append(Near(garment, colors.within, 2 * colors.within))
     if palette is not None:
         built.append(Printability(objective.nps_weight, palette, device))
     if colors.profile is not None:

@@ -83,6 +83,7 @@ def test_help_is_short_and_says_what_options_share_in_one_wording():
     texts = {option.words for option in options}
     texts |= {cli.load(name).__doc__ for name in cli.COMMANDS}
     assert 3000 < sum(len(text.split()) for text in texts) < 4000
+    assert len(options_of(cli.load("train"))) <= 72
     wordings = {f: {o.words for o in options if o.flag == f} for f in {o.flag for o in options}}
     for flag in ("--people", "--scene", "--seed", "--device", "--threads", "--shift", "--hide", "--threshold"):
         assert len(wordings[flag]) == 1, wordings[flag]

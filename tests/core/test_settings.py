@@ -64,8 +64,8 @@ def test_ranges():
         ("threshold", 1.0), ("threshold", math.nan), ("translation", -1), ("translation", 208), ("seed", -1),
         ("distance", "3:1"), ("distance", "0:1"), ("distance", "-2"), ("contrast", "1.2:0.8"), ("contrast", "-1:1"),
         ("brightness", "x"), ("angles", "5:1:1"), ("optimizer", "rmsprop"), ("loss", "x"), ("schedule", "linear"),
-        ("initial", "blue"), ("device", None), ("field_of_view", 180.0), ("elevation", 91.0), ("checkpoint_every", -1),
-        ("elevation_jitter", 22.0), ("max_seconds", 0.0), ("outfits", "none"), ("batch", 1.5),
+        ("initial", "blue"), ("device", None), ("elevation", 91.0), ("checkpoint_every", -1),
+        ("elevation_jitter", 22.0), ("max_seconds", 0.0), ("optimizer", "none"), ("batch", 1.5),
         ("lr", "fast"), ("batch", True), ("preset", "mine"),
     ],
 )  # fmt: skip

@@ -77,7 +77,7 @@ def test_person_class_by_name_index_and_default(tmp_path: Path) -> None:
 
 def test_names_come_from_a_list_beside_the_cfg(tmp_path: Path) -> None:
     spec = write_tiny(tmp_path, names=None)
-    with pytest.raises(InputError, match=r"names of its 1 classes are unknown; give --person-class"):
+    with pytest.raises(InputError, match=r"names of its 1 classes are unknown; give @person="):
         load_detector(spec)
     assert load_detector(spec, person_class="0").name == "tiny"
     (tmp_path / "a.names").write_text("person\n")

@@ -120,10 +120,10 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_read(typed: str) -> 
 @pytest.mark.parametrize(
     ("spec", "options", "message"),
     [
-        ("builtin@person=person", {"person_class": "0"}, "says person= already; drop --person-class"),
+        ("builtin@person=person", {"person_class": "0"}, "says person= already; drop person_class"),
         ("builtin", {"person_class": "dog"}, r"no class 'dog' among its 1 \(person\)"),
         ("builtin", {"precision": "half"}, "--precision: 'half' is not one of float32, bfloat16, auto"),
-        ("builtin", {"layout": "yolov8"}, "--layout is for onnx:FILE"),
+        ("builtin", {"layout": "yolov8"}, "a layout is for onnx:FILE"),
     ],
 )
 def test_options_that_do_not_fit(spec: str, options: dict, message: str) -> None:

@@ -251,7 +251,7 @@ def test_bad_checkpoints(content: object, message: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_checkpoint_of_another_model(tmp_path: Path) -> None:
     case = Case("ssdlite320_mobilenet_v3_large", tmp_path)
-    with pytest.raises(InputError, match=r"names of its 3 classes are unknown; give --person-class"):
+    with pytest.raises(InputError, match=r"names of its 3 classes are unknown; give @person="):
         load_detector(f"torchvision:{case.name}:{case.path}")
     state = case.model.state_dict()
     removed = next(iter(state))

@@ -20,7 +20,7 @@ def test_resume_is_bit_identical_on_a_real_detector(shared, tmp_path):
     bodies = read_scene(shared / "data" / "bodies_anny.npz").select_poses(range(2))
     logo = make_logo(bodies, select_region(bodies, "chest_thighs"))
     backgrounds = load_backgrounds(shared / "data" / "backgrounds").subset(range(4))
-    settings = make_settings("best", steps=5, batch=2, threads=2, outfits="first", angles="0,5", preview_every=0)
+    settings = make_settings("best", steps=5, batch=2, threads=2, angles="0,5", preview_every=0)
     before = state_hash(detector)
 
     def run(out, stop_at=0, resume=False):

@@ -120,7 +120,6 @@ def test_a_picture_repeats_along_the_body(tmp_path):
     [
         ({"near": "#808080"}, "--near GARMENT and --within DE"),
         ({"within": 5}, "--near GARMENT and --within DE"),
-        ({"within_most": 5}, "--within-most: needs"),
         ({"near": "clothing", "within": 5, "colors_at_most": 3}, "the garment must have one colour"),
         ({"near": "#808080", "within": 5, "black_box_queries": 200}, "--black-box-queries"),
         ({"near": "none.npy", "within": 5}, "none.npy"),

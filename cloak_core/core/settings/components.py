@@ -43,8 +43,6 @@ class RunSettings:
     """Stop after so many seconds of training, with a checkpoint to resume from."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """Seed of every random draw."""
-    threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
-    """Score above which a person counts as detected."""
     checkpoint_every: Annotated[int, Bounds()] = 100
     """Steps between checkpoints; 0: one at the end."""
     preview_every: Annotated[int, Bounds()] = 100
@@ -64,25 +62,19 @@ class ViewSettings(RenderOptions):
 
     angles: Azimuths = Azimuths(Angles((-10.0, -5.0, 0.0, 5.0, 10.0)))
     """Azimuths, degrees: 0; -10,0,10; FIRST:LAST:STEP with LAST included; or LOW..HIGH for any between."""
-    angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
-    """Change each azimuth by up to this many degrees; 0 keeps them, so that views can be reused."""
     elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
     """Camera elevation, degrees; LOW:HIGH draws one per image."""
     elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
     """Standard deviation of the elevation, degrees."""
     distance: Annotated[Range, Bounds(ends="()")] = Range(2.2, 2.2)
     """Camera distance, metres; LOW:HIGH draws one per image."""
-    field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
-    """Vertical field of view, degrees."""
     size: Annotated[int, Bounds(16, 4096)] = 416
     """Width and height of the images, pixels."""
-    outfits: Literal["random", "first"] = "random"
-    """Clothing of the body outside the logo: a random outfit per image, or the first."""
 
     def camera(self, azimuth: float, elevation: float, distance: float) -> Camera:
         """Make the camera at a place, degrees and metres."""
         place = {"azimuth": azimuth, "elevation": elevation, "distance": distance}
-        return Camera(field_of_view=self.field_of_view, width=self.size, height=self.size, **place)
+        return Camera(width=self.size, height=self.size, **place)
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
@@ -171,8 +163,6 @@ class PatternSettings:
     (.npy), a run or zoo:NAME; with --pattern, its mean in each square."""
     within: Positive | None = None
     """Largest mean CIEDE2000 from --near; 1 is just visible."""
-    within_most: Positive | None = None
-    """Largest 95th percentile of it (default: twice --within)."""
     profile: str | None = None
     """Profile (`cloak calibrate`): train colours as photographed after printing; `cloak print --profile` writes those
     to send."""
@@ -181,8 +171,6 @@ class PatternSettings:
         """Check that values go together. InputError: they do not."""
         if (self.near is None) != (self.within is None):
             raise InputError("--near GARMENT and --within DE: one needs the other")
-        if self.within_most is not None and self.near is None:
-            raise InputError("--within-most: needs --near and --within")
         if self.near is not None and self.profile is not None:
             raise InputError("--near: says how colours are to look, --profile what comes out of a printer; give one")
 
@@ -242,5 +230,3 @@ class QuerySettings:
 
     black_box_queries: Annotated[int | None, Bounds(1, 10_000_000)] = None
     """Images in a search by the detectors' answers alone, best begun with --init (default: train by gradients)."""
-    query_change: Annotated[float, Bounds(0, 1, "(]")] = 0.1
-    """How far a query moves the colours to either side, in units of colour [0, 1]."""

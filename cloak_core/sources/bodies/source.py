@@ -51,8 +51,12 @@ class BodyPlan:
     def is_fresh(self) -> bool:
         """Whether every image has a camera of its own, so that caching views gains nothing."""
         views = self.settings
-        spread = views.angle_jitter, views.elevation_jitter, views.angles.width
-        return any(spread) or views.distance.width > 0 or views.elevation.width > 0
+        return (
+            views.elevation_jitter > 0
+            or views.angles.width > 0
+            or views.distance.width > 0
+            or views.elevation.width > 0
+        )
 
     def draw(self, dealt: Dealt, random: np.random.Generator) -> dict[str, np.ndarray]:
         """See `Source`. Columns: pose and outfit, int64; azimuth and elevation, degrees; distance, metres."""
@@ -62,13 +66,13 @@ class BodyPlan:
         def spread(values: Range) -> np.ndarray:
             return random.uniform(values.low, values.high, count)
 
-        jitter = spread(Range(-views.angle_jitter, views.angle_jitter))
-        outfit = random.integers(self.outfit_count if views.outfits == "random" else 1, size=count)
+        random.random(count)  # an option of earlier versions drew these: what follows keeps its bits
+        outfit = random.integers(self.outfit_count, size=count)
         turn = random.uniform(0, views.angles.width, count)
         return {
             "pose": dealt.member,
             "outfit": outfit,
-            "azimuth": np.array(views.angles.starts)[dealt.direction] + turn + jitter,
+            "azimuth": np.array(views.angles.starts)[dealt.direction] + turn,
             "elevation": spread(views.elevation) + random.standard_normal(count) * views.elevation_jitter,
             "distance": spread(views.distance),
         }
