@@ -147,29 +147,6 @@ def _street(rng: Rng, canvas: Canvas) -> None:
             _thing(rng, canvas, middle + side * (half + rng.uniform(0.2, 0.9)), z)
 
 
-def _surface(rng: Rng) -> Image.Image:
-    """Choose something that a wall is covered with."""
-    kind = rng.integers(5)
-    color = random_color(rng, saturation=(0, 0.45), value=(0.3, 1))
-    if kind == 0:
-        return tiles.grid(rng, color, int(rng.integers(6, 26)), int(rng.integers(3, 10)), True)
-    if kind == 1:
-        return tiles.grid(rng, color, int(rng.integers(1, 12)), int(rng.integers(1, 12)), False)
-    if kind == 2:
-        return tiles.stripes(rng, bool(rng.random() < 0.7))
-    return tiles.rough(rng, color, (160, 96), rng.uniform(0.02, 0.3))
-
-
-def _floor(rng: Rng) -> Image.Image:
-    kind = rng.integers(3)
-    if kind == 0:
-        return tiles.checker(rng)
-    color = random_color(rng, (0.02, 0.14), (0.05, 0.6), (0.2, 0.9))
-    if kind == 1:
-        return tiles.grid(rng, color, int(rng.integers(3, 10)), int(rng.integers(1, 8)), bool(rng.random() < 0.5))
-    return tiles.rough(rng, color, contrast=0.2)
-
-
 def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
     """Draw something that stands about: post, sign, lamp, bin, plant, cabinet, stack of boxes."""
     kind = rng.integers(6)
@@ -206,15 +183,15 @@ def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
 def _room(rng: Rng, canvas: Canvas) -> None:
     """Draw a room seen from within: walls with windows, doors and pictures, and furniture."""
     half, height, back = rng.uniform(1.5, 4), rng.uniform(2.3, 3.6), rng.uniform(3, 9)
-    canvas.ground(_floor(rng), rng.uniform(0.8, 3))
+    canvas.ground(tiles.floor(rng), rng.uniform(0.8, 3))
     white = tiles.rough(rng, random_color(rng, saturation=(0, 0.15), value=(0.6, 1)), contrast=0.05)
     canvas.ground(white, 3, ceiling=height)
-    wall = _surface(rng)
+    wall = tiles.surface(rng)
     lights = rng.uniform(0.6, 1.1, 3)
     shift = rng.uniform(-1, 1)
     left, right = shift - half, shift + half
     canvas.panel((left, right), (0, height), back, wall, lights[0])
-    side = wall if rng.random() < 0.7 else _surface(rng)
+    side = wall if rng.random() < 0.7 else tiles.surface(rng)
     canvas.side(left, (NEAR, back), (0, height), side, lights[1])
     canvas.side(right, (NEAR, back), (0, height), side, lights[2])
     _hang(rng, canvas, (left, right), height, back - 0.01)
@@ -295,8 +272,8 @@ def _wall(rng: Rng, canvas: Canvas) -> None:
     height = rng.uniform(3, 9)
     canvas.image.paste(random_color(rng, saturation=(0, 0.3), value=(0.6, 1)), (0, 0, canvas.width, canvas.height))
     turn = rng.uniform(-0.25, 0.25) * half
-    wall = _surface(rng)
-    canvas.ground(_floor(rng), rng.uniform(1, 3))
+    wall = tiles.surface(rng)
+    canvas.ground(tiles.floor(rng), rng.uniform(1, 3))
     ends = ((-half, height, z + turn), (half, height, z - turn), (half, 0, z - turn), (-half, 0, z + turn))
     canvas.quad(ends, wall)
     if abs(turn) < 0.15:
@@ -308,15 +285,15 @@ def _wall(rng: Rng, canvas: Canvas) -> None:
 
 def _hall(rng: Rng, canvas: Canvas) -> None:
     """Draw a corridor, arcade or store: columns or racks on both sides that run into the distance."""
-    canvas.ground(_floor(rng), rng.uniform(1, 3))
+    canvas.ground(tiles.floor(rng), rng.uniform(1, 3))
     height = rng.uniform(2.6, 7)
-    canvas.ground(_surface(rng), rng.uniform(2, 5), rng.uniform(0.4, 0.9), ceiling=height)
+    canvas.ground(tiles.surface(rng), rng.uniform(2, 5), rng.uniform(0.4, 0.9), ceiling=height)
     half, back = rng.uniform(1.5, 5), rng.uniform(9, 30)
-    end = _surface(rng)
+    end = tiles.surface(rng)
     canvas.panel((-half, half), (0, height), back, end, 0.8)
-    side = tiles.shelf(rng) if rng.random() < 0.4 else _surface(rng)
+    side = tiles.shelf(rng) if rng.random() < 0.4 else tiles.surface(rng)
     step, width = rng.uniform(1.2, 4), rng.uniform(0.2, 0.9)
-    front = tiles.shelf(rng) if rng.random() < 0.3 else _surface(rng)
+    front = tiles.shelf(rng) if rng.random() < 0.3 else tiles.surface(rng)
     for x in (-half, half):
         canvas.side(x, (NEAR, back), (0, height), side, rng.uniform(0.5, 1))
     for z in np.arange(back - 1, 1.5, -step):
@@ -328,7 +305,7 @@ def _hall(rng: Rng, canvas: Canvas) -> None:
 
 def _still_life(rng: Rng, canvas: Canvas) -> None:
     """Draw near things on a table or against a wall: boxes, discs, bottles, cloth."""
-    back = _surface(rng).resize((canvas.width, canvas.height), Image.Resampling.BILINEAR)
+    back = tiles.surface(rng).resize((canvas.width, canvas.height), Image.Resampling.BILINEAR)
     canvas.image.paste(back)
     draw = ImageDraw.Draw(canvas.image)
     edge = int(canvas.height * rng.uniform(0.5, 1.0))

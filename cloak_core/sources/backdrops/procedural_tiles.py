@@ -191,3 +191,27 @@ def vertical_gradient(top: Color, bottom: Color, height: int, width: int) -> Ima
     t = np.linspace(0, 1, height, dtype=np.float32)[:, None]
     column = np.asarray(top, np.float32) * (1 - t) + np.asarray(bottom, np.float32) * t
     return Image.fromarray(np.repeat(column[:, None].astype(np.uint8), width, 1))
+
+
+def surface(rng: Rng) -> Image.Image:
+    """Choose something that a wall is covered with."""
+    kind = rng.integers(5)
+    color = random_color(rng, saturation=(0, 0.45), value=(0.3, 1))
+    if kind == 0:
+        return grid(rng, color, int(rng.integers(6, 26)), int(rng.integers(3, 10)), True)
+    if kind == 1:
+        return grid(rng, color, int(rng.integers(1, 12)), int(rng.integers(1, 12)), False)
+    if kind == 2:
+        return stripes(rng, bool(rng.random() < 0.7))
+    return rough(rng, color, (160, 96), rng.uniform(0.02, 0.3))
+
+
+def floor(rng: Rng) -> Image.Image:
+    """Choose something that a floor is covered with."""
+    kind = rng.integers(3)
+    if kind == 0:
+        return checker(rng)
+    color = random_color(rng, (0.02, 0.14), (0.05, 0.6), (0.2, 0.9))
+    if kind == 1:
+        return grid(rng, color, int(rng.integers(3, 10)), int(rng.integers(1, 8)), bool(rng.random() < 0.5))
+    return rough(rng, color, contrast=0.2)
