@@ -13,6 +13,7 @@ import pytest
 from cloak_core.cli import main
 from cloak_core.commands.assess import Assess
 from cloak_core.core.logo import area_share
+from cloak_core.core.source import NOBODY
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
@@ -156,11 +157,11 @@ def test_minutes_take_the_largest_size_that_fits_or_none(tmp_path: Path, monkeyp
     paces = {"full": 9000.0, "standard": 4000.0, "quick": 600.0}
     told = lambda self, pace: (paces[self.size.name], Pace(0.03, 0.096))
     monkeypatch.setattr(Assessment, "seconds_left", told)
-    chosen = command._choose("glow", Glow("glow"), tmp_path / "glow", None, ())
+    chosen = command._choose("glow", Glow("glow"), tmp_path / "glow", NOBODY, ())
     assert chosen.size is QUICK
     said = r"--minutes 5: glow: size quick, the smallest, takes about 10 min .*96 ms a forward and backward"
     with pytest.raises(InputError, match=said):
-        replace(command, minutes=5.0)._choose("glow", Glow("glow"), tmp_path / "glow", None, ())
+        replace(command, minutes=5.0)._choose("glow", Glow("glow"), tmp_path / "glow", NOBODY, ())
 
 
 @pytest.mark.parametrize("size", [["--quick", "--full"], ["--size", "full", "--minutes", "3"], []])

@@ -180,7 +180,7 @@ class Lines:
             own = SERIES[CLOTHING]
             axis.plot(x, column(rows, CLOTHING), color=INK, lw=1.2, ls=":", marker=own.marker, label=own.label)
 
-    def _x_axis(self, axis: Axes, values: Sequence[float]) -> None:
+    def _x_axis(self, axis: Axes, values: Sequence[float | int]) -> None:
         axis.set_xlabel(AXES.get(self.x, self.x.replace("_", " ")))
         if self.x == "angle":  # whole degrees, at steps people count in
             low, high = axis.get_xlim()
