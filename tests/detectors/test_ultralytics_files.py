@@ -204,6 +204,7 @@ def state():
         random=torch.get_rng_state().sum().item(), dtype=torch.get_default_dtype(),
         environment={k: v for k, v in os.environ.items() if not k.startswith(("YOLO_", "ULTRALYTICS_"))},
     )
+from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector
 list_families()
 assert "ultralytics" not in sys.modules
