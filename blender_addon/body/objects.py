@@ -182,8 +182,8 @@ def scene_axes(vertices: np.ndarray) -> np.ndarray:
 def add_people(context: bpy.types.Context, bodies: Bodies, clothed: bool, name: str) -> bpy.types.Object:
     """A new body that is selected; its garments are its children.
 
-    The body of clothed people has all their logos, also those that no skin is part of: `CLOTHES`, the shirt, the chest
-    on it. An export of body and garments has the faces of `bodies`, in their order.
+    The body keeps the logos on its clothes, too (`CLOTHES`, the shirt, the chest on it), though it has no faces there.
+    An export of body and garments has the faces of `bodies`, in their order.
     """
     obj = add_from_scene(context, part_of(bodies, BODY) if clothed else bodies)
     for garment in GARMENTS if clothed else ():

@@ -44,7 +44,7 @@ class Assess(Splitting, Detecting, Sharing):
     full: bool = False
     """--size full."""
     minutes: float | None = None
-    """Take the largest size that fits into so many minutes a card."""
+    """Take the largest size that fits into this many minutes a card."""
     people: str | None = None
     patterns: tuple[str, ...] = ()
     """Published patterns: FILE.png[@tile=METRES | @patch=METRES], or a folder with patterns.toml."""

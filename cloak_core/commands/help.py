@@ -35,7 +35,7 @@ SHARED = {
     "distances": "Camera distances, metres.",
     "elevations": "Camera elevations, degrees.",
     "size": "Width and height of the images, pixels.",
-    "shift": "Move the body by up to so many pixels along both axes.",
+    "shift": "Move the body by up to this many pixels along both axes.",
     "images_per_view": "Images of every body at every angle, elevation and distance.",
     "most_images": "Most images; fewer are drawn by the seed.",
     "hide": "What cloaks hide: the class person, or every class on the body.",

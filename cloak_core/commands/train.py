@@ -65,7 +65,7 @@ class Train(Photographed, Detecting):
     """New folder to write, or the one to --resume."""
     resume: bool = False
     extend: int | None = None
-    """Make the run in --out longer by so many updates, as a new run, RUN-STEPS."""
+    """Continue the run in --out for this many more updates, as a new run, RUN-STEPS."""
     config: Path | None = None
     """TOML file of settings, named as the options; those on the command line win."""
     log: UseAppendAction[tuple[Log, ...]] = ()

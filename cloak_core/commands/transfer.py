@@ -65,7 +65,7 @@ class Transfer(Splitting, Detecting, Sharing):
     most_images: int | None = None
     """(default: 240 with --circle, else all)"""
     budget_minutes: float | None = None
-    """Stop after so many minutes in all; the same command continues."""
+    """Stop after this many minutes in all; the same command continues."""
     publish: Path | None = None
     redraw: bool = False
 

@@ -131,7 +131,7 @@ class Cast:
     identity: str | None = None
     """SHA-256 (hex) of all of them."""
     natural: tuple[str, ...] = NATURAL
-    """Controls that experiments ask for beside the standard ones; those that are drawn on bodies."""
+    """Further controls of experiments: stripes and checks, which are drawn on bodies alone."""
 
     def __len__(self) -> int:
         return 0

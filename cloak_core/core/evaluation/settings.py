@@ -46,7 +46,7 @@ class EvaluateSettings(RenderOptions):
     cycles: Literal["matching", "studio", "sky"] | None = None
     """Render by Blender's Cycles (needs bpy) in our light, a room's or the sky's, into RUN/evaluation-LIGHT."""
     shift: Annotated[int, Bounds()] = 50
-    """Move the body by up to so many pixels along both axes."""
+    """Move the body by up to this many pixels along both axes."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
     """Score above which a person counts as detected."""
     controls: tuple[Literal[NAMES], ...] = STANDARD
@@ -145,7 +145,7 @@ class JudgeSettings:
     most_frames: Annotated[int, Bounds(1)] = 50
     """Most frames of a video, from its beginning."""
     longest: Annotated[int, Bounds(32, 8192)] = 1280
-    """Reduce larger pictures to so many pixels on their longer side."""
+    """Reduce larger pictures to this many pixels on their longer side."""
     resamples: Annotated[int, Bounds(100)] = RESAMPLES
     """Bootstrap resamples behind each interval."""
 

@@ -40,7 +40,7 @@ class RunSettings:
     microbatch: Annotated[int | None, Bounds(1, 4096)] = None
     """Images that a detector sees at once, to bound memory; None: the batch. Same gradient up to rounding."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
-    """Stop after so many seconds of training, with a checkpoint to resume from."""
+    """Stop after this many seconds of training, with a checkpoint to resume from."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """Seed of every random draw."""
     checkpoint_every: Annotated[int, Bounds()] = 100
@@ -88,7 +88,7 @@ class AugmentationSettings:
     """What makes every image another one."""
 
     translation: Annotated[int, Bounds(0, 4096)] = 50
-    """Move the body by up to so many pixels along both axes."""
+    """Move the body by up to this many pixels along both axes."""
     translation_per: Literal["image", "batch"] = "image"
     """Draw the translation for each image, or once for the batch."""
     contrast: Annotated[Range, Bounds(ends="[)")] = Range(0.0, 1.0)
@@ -157,7 +157,7 @@ class PatternSettings:
     tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
     """Width and height of the repeating cloth, centimetres."""
     colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
-    """End with at most so many colours, of --palette or learnt."""
+    """End with at most this many colours, of --palette or learnt."""
     near: str | None = None
     """Garment to stay close to: #rrggbb, clothing, camouflage (woodland), FILE.png@tile=METRES, this logo's colours
     (.npy), a run or zoo:NAME; with --pattern, its mean in each square."""
@@ -209,7 +209,7 @@ class OptimizerSettings:
     """Share of the first colours in the result (WiSE-FT, Wortsman et al., CVPR 2022): 0.5 helps a print or --init
     against unseen detectors."""
     octaves: Annotated[int, Bounds(1, 10)] = 1
-    """Sum of so many grids of colours, each twice as coarse; needs --gamut sigmoid."""
+    """Number of grids whose sum is the colours, each twice as coarse as the one before; needs --gamut sigmoid."""
     smooth: Annotated[int, Bounds(0, 1000)] = 0
     """Rounds of averaging free parameters with neighbouring faces'."""
 

@@ -17,7 +17,7 @@ class HardenSettings:
     steps: Annotated[int, Bounds(1, 10_000_000)] = 2400
     """Updates of the detector."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
-    """Stop after so many seconds of training, with a checkpoint to resume from."""
+    """Stop after this many seconds of training, with a checkpoint to resume from."""
     batch: Annotated[int, Bounds(1, 4096)] = 6
     """Rendered images in a cloak per update."""
     clean: Annotated[int, Bounds(0, 4096)] = 3
