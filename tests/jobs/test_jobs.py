@@ -1,9 +1,12 @@
 """Jobs done here, one after the other."""
 
+import itertools
+import time
+
 import pytest
 
 from cloak_core.files.errors import InputError
-from cloak_core.jobs.job import Job, in_order
+from cloak_core.jobs.job import Job, hand_out, in_order
 from cloak_core.jobs.ray_cluster import RayCluster
 
 DONE = []
@@ -28,6 +31,16 @@ def test_who_stops_listening_stops_the_rest():
     assert next(outcomes).result == 0
     outcomes.close()
     assert DONE == [0]
+
+
+def test_the_time_left_is_that_of_the_jobs_left(monkeypatch):
+    clock = itertools.count(0, 10)  # 0 at the start, then two looks for each job and one after it
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
+    said: list[str] = []
+    list(hand_out(None, [Job(str(n), square, {"number": n}) for n in range(4)], said.append, "job"))
+    assert said[0] == "job 1 of 4: 0: 10 s, about 90 s left".replace("90 s", "2 min")
+    assert said[1].endswith("about 60 s left") and said[2].endswith("about 30 s left")
+    assert said[3] == "job 4 of 4: 3: 10 s"
 
 
 def test_a_defect_is_raised():
