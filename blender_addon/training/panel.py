@@ -137,5 +137,8 @@ class CLOAK_PT_runs(CloakPanel, label="Runs"):
         wrapped(self.layout, context, f"{words}: {state.why}" if state.why else words, icon=RUN_ICONS[state.state])
         if unseen := state.unseen:
             named = (("Unseen", "logo"), ("Own clothing", "clothing"), ("Random", "random"))
-            rates = [f"{said(name)} {unseen[control]:.0%}" for name, control in named if control in unseen]
-            figure(self.layout, ", ".join(rates), UNSEEN, "VIEWZOOM")
+            lines = self.layout.column(align=True)  # a line each: in one the last is cut off
+            for name, control in named:
+                if control in unseen:
+                    icon = "VIEWZOOM" if control == "logo" else "BLANK1"
+                    figure(lines, f"{said(name)} {unseen[control]:.0%}", UNSEEN, icon)

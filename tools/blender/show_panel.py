@@ -21,7 +21,7 @@ PANELS = {
     "body": ("body", "logo"),
     "logo": ("body", "logo", "stamp"),
     "poses": ("logo", "poses"),
-    "train": ("poses", "train", "settings"),
+    "train": ("jobs", "poses", "train", "settings"),
     "result": ("train", "runs", "result"),
 }
 OPENED = {"logo": "stamp", "poses": "poses", "train": "settings"}
