@@ -5,7 +5,7 @@ Plane coordinates [n, 3]: x and y in the projection's plane, and an inverse dept
 linear over each triangle's image.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -66,10 +66,16 @@ def meetings(low: np.ndarray, high: np.ndarray, places: np.ndarray) -> Iterator[
         yield boxes, order[place]
 
 
-def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def depth_buffer(
+    points: np.ndarray,
+    triangles: np.ndarray,
+    shape: tuple[int, int],
+    tell: Callable[[float], None] = lambda share: None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Inverse depth [H, W] of the nearest triangle in the middle of each cell (-inf: none), and its number (-1: none).
 
     points: plane coordinates [V, 3], x and y counted in cells. shape: how many cells there are (width, height).
+    tell: called with the share of the rows that is done.
     """
     width, height = shape
     # Corner by corner, [3, T], over which numpy is ten times as quick as over [T, 3]. Most triangles of a fine mesh
@@ -104,6 +110,7 @@ def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, in
         order = np.argsort(depth, kind="stable")  # of several values for one cell the last one written stays
         order = order[depth[order] >= nearness[cell[order]]]
         nearness[cell[order]], owner[cell[order]] = depth[order], drawn[of[order]]
+        tell(end / max(1, len(row)))
     return nearness.reshape(height, width), owner.reshape(height, width)
 
 

@@ -5,6 +5,7 @@ Every texel whose middle lies in a face takes that face's colour; around the isl
 that filtering finds no edge. A UV map of Cloak's own gives every face a square of texels.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -69,9 +70,11 @@ def bake(obj: bpy.types.Object, size: int) -> Baked:
         off = faces_off(mesh, name, pixels, wanted)
     show_progress(0.6)
     _sew(mesh, name, pixels)
+    show_progress(0.7)
     image = new_image(f"{obj.name} cloak", pixels)
     show_progress(0.8)
     image.pack()
+    show_progress(0.9)
     return Baked(image, name, off, before)
 
 
@@ -87,11 +90,13 @@ def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.
 def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) -> np.ndarray:
     """[S, S, 4]: the colours on a UV map of the user's; beyond the islands they go on by `MARGIN` texels."""
     loops, owner = triangle_corners(mesh)
-    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size)
-    for _ in range(MARGIN):
+    tell = lambda share: show_progress(0.4 * share)
+    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size, tell)
+    for number in range(MARGIN):
         before = face.copy()
         for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
             face = np.where(face < 0, np.roll(before, step, axis), face)
+        show_progress(0.4 + 0.15 * (number + 1) / MARGIN)
     pixels = np.append(wanted, np.ones((len(wanted), 1), np.float32), axis=1)[face]
     pixels[face < 0] = 0
     return pixels
@@ -145,13 +150,16 @@ def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
     return np.append(wanted, np.ones((count, 1), np.float32), axis=1)[face]
 
 
-def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> np.ndarray:
+def rasterize(
+    places: np.ndarray, triangle_face: np.ndarray, size: int, tell: Callable[[float], None] = lambda share: None
+) -> np.ndarray:
     """Texture coordinates [T, 3, 2] of faces [T] onto texels [size, size]: one of their faces, -1 for none.
 
-    Row 0 is at the bottom, as Blender stores images. Triangles beyond the unit square are cut off.
+    Row 0 is at the bottom, as Blender stores images. Triangles beyond the unit square are cut off. tell: called with
+    the share that is done.
     """
     points = np.concatenate([places.reshape(-1, 2) * size, np.zeros((3 * len(places), 1))], 1)
-    _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size))
+    _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size), tell)
     return np.where(owner >= 0, triangle_face[owner], -1)
 
 

@@ -22,6 +22,7 @@ from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
+from ..ui.window import progress_cursor
 from . import bake
 from .evaluations import export_worn, judged_reason
 from .viewpoints import of_camera
@@ -164,7 +165,8 @@ class CLOAK_OT_export_glb(CloakOperator, ExportHelper, label="Export GLB", needs
 
     def run(self, context: bpy.types.Context) -> str:
         obj, chosen = active_body(context), list(context.selected_objects)
-        copies = [bake.baked_copy(one, self.size) for one in (obj, *worn_by(obj))]
+        with progress_cursor():
+            copies = [bake.baked_copy(one, self.size) for one in (obj, *worn_by(obj))]
         try:
             for one in context.view_layer.objects:
                 one.select_set(one in copies)

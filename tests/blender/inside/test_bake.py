@@ -1,10 +1,14 @@
 """Step 5, out of Blender: the cloak as an image on the body's own texture coordinates."""
 
+from contextlib import contextmanager
+
 import bpy
 import numpy as np
+import pytest
 from cloak.blender import colors, occlusion
 from cloak.blender.pictures import image_pixels
-from cloak.result import bake
+from cloak.result import bake, outputs
+from cloak.ui import operator
 from made import make_egg
 
 
@@ -43,6 +47,28 @@ def test_each_face_finds_its_colour_in_the_image():
     obj.data.materials.clear()
     obj.data.materials.append(material)
     assert np.abs(colors.own_face_colors(obj) - trained).max() < 1.01 / 255  # it shows what was baked
+
+
+@pytest.mark.parametrize(("name", "module"), [("bake", operator), ("export_glb", outputs)])
+def test_while_it_bakes_the_mouse_pointer_counts_up(monkeypatch, tmp_path, name, module):
+    obj, _ = dressed_egg()
+    unwrap(obj)
+    told = []
+
+    @contextmanager
+    def pointer():
+        told.append("begins")
+        yield
+        told.append("ends")
+
+    monkeypatch.setattr(module, "progress_cursor", pointer)
+    monkeypatch.setattr(bake, "show_progress", told.append)
+    monkeypatch.setattr(occlusion, "MAX_PAIRS", 10_000)  # as an image of 4096 x 4096 has many times the usual
+    options = {} if name == "bake" else {"filepath": str(tmp_path / "body.glb")}
+    getattr(bpy.ops.cloak, name)(size=256, **options)
+    first, *shares, last = told
+    assert (first, last) == ("begins", "ends") and shares == sorted(shares)
+    assert np.diff([0, *shares, 1]).max() < 0.2, "never long without a step"
 
 
 def test_the_nearest_triangle_in_each_cell_is_the_one_that_all_of_them_say():
