@@ -28,7 +28,7 @@ class Demo(Computing):
 
     example = "--out runs/demo"
     then = "zoo list"
-    next_why = "what was trained for longer; docs/tutorial.md begins at the beginning"
+    next_why = "what was trained for longer"
 
     out: Path = Path("runs/demo")
     """Run folder; an interrupted demo goes on there, a complete one is evaluated again."""

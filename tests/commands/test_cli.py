@@ -62,6 +62,9 @@ def test_every_command_has_help_json_and_an_example_that_is_a_command(name, caps
     text = help_text(name, capsys, monkeypatch)
     assert "--json" in text and (cli.load(name).__doc__ or "").strip().splitlines()[0][:30] in text
     assert not re.search(r"\(default[^)]*\)\.? \(default", " ".join(text.split()))
+    told = f"{text} {cli.load(name).then} {cli.load(name).next_why}"
+    assert not re.search(r"\b(tools|tests|examples|benchmarks)/", told), "no wheel has these"
+    assert "docs/" not in f"{cli.load(name).next_why}"
     example = re.search(r"Example:\n((?:.*\\\n)*.*)\n", text)[1]
     words = cli.find(shlex.split(example.replace("\\\n", " "))[1:])
     assert words[0] == name and cli.parse(*words)
