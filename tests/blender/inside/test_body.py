@@ -4,12 +4,13 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.blender.mesh_arrays import read, topology
+from cloak.blender.mesh_arrays import box_of, read, topology
 from cloak.body import objects as body
+from cloak.body.panel import CLOAK_PT_body
 from cloak.exchange.bodies import Bodies
 from cloak.files.errors import InputError
 from cloak.poses.export import poses_reason
-from conftest import run_job
+from conftest import drawn, run_job
 from made import add_ngons, link, make_egg, set_mode
 
 
@@ -181,14 +182,23 @@ def test_a_scene_becomes_a_body_and_back():
     assert again.topology == bodies.topology
 
 
-def test_add_sample_body(stub):
+@pytest.mark.parametrize("people", ["BARE", "CLOTHED"])
+def test_add_sample_body(stub, people):
+    """Beside the cube of a new file, which is no body yet: Try It is offered."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    assert bpy.context.object.name == "Cube" and "cloak.try_it" in drawn(CLOAK_PT_body)
     bpy.context.scene.frame_start, bpy.context.scene.frame_end = 3, 500
     bpy.context.scene.frame_set(7)
-    bpy.ops.cloak.add_sample_body()
+    bpy.ops.cloak.add_sample_body(people=people)
     job = run_job()
     assert job.state == "done", job.message
     obj = bpy.context.view_layer.objects.active
-    assert obj.name == "Sample Body" and faces.logo_names(obj.data) == ["chest"]
+    assert obj.name == "Sample Body" and "cloak.try_it" not in drawn(CLOAK_PT_body)
+    assert obj.cloak.logo == ("chest" if people == "BARE" else "clothes") and "chest" in faces.logo_names(obj.data)
+    bpy.context.view_layer.update()
+    cube = box_of(bpy.data.objects["Cube"])
+    for one in (obj, *obj.children):
+        assert (box_of(one)[0] >= cube[1]).any() or (box_of(one)[1] <= cube[0]).any(), "beside the cube, not in it"
     assert [k.name for k in obj.data.shape_keys.key_blocks] == ["Ann", "Bob"]
     settings = bpy.context.scene.cloak
     assert (settings.pose_source, settings.frame_start, settings.frame_end) == ("RANGE", 1, 2)

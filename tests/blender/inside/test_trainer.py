@@ -1,5 +1,8 @@
 """What the trainer is started with: a Python that has it, and settings that can work."""
 
+import functools
+import json
+import math
 import operator
 import re
 import sys
@@ -84,8 +87,10 @@ def test_try_it_goes_from_nothing_to_a_picture_before_and_after(stub, tmp_path, 
     told = []
     monkeypatch.setattr(judging, "tell_status", told.append)
     bpy.context.scene.cloak.output = str(tmp_path / "runs")
+    bpy.context.scene.frame_end = 500
     bpy.ops.cloak.try_it()
     job = run_job(400)
+    assert bpy.context.scene.frame_end == 500
     assert bpy.context.object.cloak.logo == "front", "the chest alone is seen after 100 steps"
     assert {words.partition(":")[0] for words in told} == {"Sample body", "Training", "Render check", ""} and not told[
         -1
@@ -143,6 +148,59 @@ def test_no_line_can_upset_the_progress(line):
     before = Progress(step=3, steps=9, loss=0.5)
     after = take_event(before, line)
     assert (after.step, after.steps, after.loss) == (3, 9, 0.5)
+
+
+def events(*of: dict) -> Progress:
+    return functools.reduce(take_event, [json.dumps(event).encode() for event in of], Progress())
+
+
+def steps(**seconds: float) -> list[dict]:
+    """Events of steps "s1" and so on, at these seconds."""
+    return [{"type": "step", "step": int(name[1:]), "time": at} for name, at in seconds.items()]
+
+
+START = {"type": "start", "step": 0, "time": 0, "steps": 10}
+
+
+@pytest.mark.parametrize(
+    ("of", "words"),
+    [
+        ([], "0/?"),
+        ([START], "0/10"),
+        ([START, *steps(s1=2, s2=4)], "2/10, 16 s left"),
+        ([START, *steps(s1=2, s2=4, s3=14)], "3/10, 20 s left"),  # a tenth of the pace is the latest step's
+        ([START, *steps(s4=8)], "4/10, 12 s left"),
+        ([START, *steps(s1=2, s2=1)], "2/10, 15 s left"),  # a clock that was set back
+        ([START, *steps(s1=20, s2=40)], "2/10, 3 min left"),
+        ([START, *steps(s1=500, s2=1000)], "2/10, 1 h 06 min left"),
+        ([START, *steps(s10=20)], "10/10"),
+        ([START, *steps(s12=20)], "12/10"),
+        ([START, *steps(s4=8), START | {"type": "resume", "step": 4, "steps": 20}], "4/20"),
+        ([START, *steps(s4=8), *steps(s2=9)], "4/10, 12 s left"),
+    ],
+)
+def test_how_far_a_training_is_and_how_long_it_goes_on(of, words):
+    progress = events(*of)
+    assert progress.describe() == words
+    assert progress.fraction == min(1, progress.step / max(1, progress.steps))
+
+
+def test_the_success_is_a_mean_of_the_last_steps_and_no_word_is_a_number():
+    shown = [{"success": x, "loss": y} for x, y in ((1, 0.5), (0, 0.25), (True, "x"), (math.inf, math.nan))]
+    progress = events(START, *(event | s for event, s in zip(steps(s1=1, s2=2, s3=3, s4=4), shown, strict=True)))
+    assert progress.success == pytest.approx(0.95) and progress.loss is None and progress.step == 4
+    assert events(START, *steps(s1=1), {"type": "end", "outcome": "done"}).outcome == "done"
+    failed = events(START, {"type": "error", "message": "no memory"})
+    assert (failed.outcome, failed.why) == ("failed", "no memory")
+    assert events(START, {"type": "error", "message": "no memory"}, *steps(s1=1)).why == ""
+
+
+def test_a_job_without_a_log_of_events_says_how_long_it_has_been_at_work(tmp_path):
+    job = Job("Test", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "test").start()
+    job._begun -= 150
+    assert job.describe() == "Test, 3 min"
+    job.cancel()
+    assert job.describe() == "Test (stopping)" and job.wait(120).message == "Test stopped"
 
 
 def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_path):

@@ -134,13 +134,18 @@ def sample() -> dict:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 2, 0]], np.float32)
     out = Path(given("--out"))
     out.mkdir(parents=True)
+    pieces = {"body": 3, "shirt": 0, "trousers": 1} if "--clothed" in sys.argv else {}
+    triangles = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]], np.int32)
     np.savez(
         out / "bodies.npz",
         vertices=np.stack([vertices, vertices * [1, 1.1, 1]]).astype(np.float32),
-        triangles=np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]], np.int32),
+        triangles=triangles,
+        loop_total=np.full(4, 3, np.int32),
+        loop_vertices=triangles.ravel(),
         face_colors=np.full((1, 4, 3), 0.25, np.float32),
         region_chest=np.array([True, False, True, False]),
         names=np.array(["Ann", "Bob"]),
+        **{f"region_{name}": np.arange(4) == place for name, place in pieces.items()},
     )
     replace(out / "scene.json", {"format": "cloak scene", "version": 1, "name": "Sample"})
     return {"out": str(out)}
