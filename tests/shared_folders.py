@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core.files.locks import lock
+from cloak_core.files.writing import lock
 
 
 def fill_once(tmp_path_factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], object]) -> Path:

@@ -17,8 +17,7 @@ from ..blender.marks import COLORS, HEAT, HEATMAP, layer_name, layer_of, make_la
 from ..blender.mesh_arrays import current_mesh, face_count, mode_reason, object_mode, read, topology
 from ..body.garments import is_dressed
 from ..body.objects import active_body, body_reason, logo_reason, object_of, of_the_body, refusal, upright_reason
-from ..exchange.face_lists import write_face_list
-from ..exchange.heat import hottest_faces
+from ..exchange.face_lists import hottest_faces, write_face_list
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..files.reading import read_npy

@@ -21,8 +21,8 @@ from ..blender.blend_paths import blend_folder, portable
 from ..body.garments import is_dressed
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
-from ..files.locks import is_held
 from ..files.reading import read_json
+from ..files.writing import is_held
 from ..poses.export import RECORD
 from ..properties import output_folder
 from ..result.evaluations import SUMMARY, Evaluation, read_evaluation

@@ -120,7 +120,7 @@ class Heatmap(Watched):
 
     def run(self) -> dict:
         from cloak_core.core.geometry import face_areas
-        from cloak_core.exchange.heat import hottest_faces
+        from cloak_core.exchange.face_lists import hottest_faces
         from cloak_core.files.writing import write_npy
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
         from cloak_core.studies.trainings.heatmap import heatmap

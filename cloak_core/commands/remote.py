@@ -27,10 +27,9 @@ from tyro.conf import Positional
 
 from cloak_core.commands.base import Command, out
 from cloak_core.files.errors import InputError
-from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import split_spec
-from cloak_core.files.writing import require_new, write_text
+from cloak_core.files.writing import lock, require_new, write_text
 
 LOOK_SECONDS = 2.0
 UNREACHABLE = 255  # exit code, as ssh's own

@@ -17,7 +17,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from cloak_core.exchange.versions import FORMAT_VERSION
+from cloak_core.exchange.checks import FORMAT_VERSION
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_bytes, read_json
 from cloak_core.files.writing import new_folder, write_bytes, write_json, written

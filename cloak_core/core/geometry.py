@@ -12,9 +12,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from cloak_core.core.polygons import next_corner, polygon_loops
-from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.surface import area_vectors, sum_by_face
-from cloak_core.exchange.surface import face_normals as face_normals
+from cloak_core.exchange.bodies import Bodies, area_vectors, sum_by_face
+from cloak_core.exchange.bodies import face_normals as face_normals
 
 PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Points inside a triangle (weights of its corners) that stand for its area, a quarter each."""

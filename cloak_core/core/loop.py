@@ -25,8 +25,7 @@ from cloak_core.core.events import EventLog, OnEvent, rewind_events
 from cloak_core.core.stopping import StopRequest
 from cloak_core.core.world import ALONE, LostProcess, World
 from cloak_core.files.errors import InputError
-from cloak_core.files.locks import lock
-from cloak_core.files.writing import is_taken, new_folder, remove_all_leftovers, written
+from cloak_core.files.writing import is_taken, lock, new_folder, remove_all_leftovers, written
 
 
 class TrainingError(InputError):

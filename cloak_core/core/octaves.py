@@ -13,11 +13,9 @@ import itertools
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy import sparse
 
 from cloak_core.core.linear import SparseMap
-from cloak_core.files.lazy import Lazy
-
-sparse = Lazy("scipy.sparse")
 
 
 def octave_sums(

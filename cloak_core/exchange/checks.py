@@ -1,11 +1,15 @@
-"""Checks of the arrays that bodies consist of: kind, shape, finiteness, indices."""
+"""Checks of what files say: the kind, shape, finiteness and indices of arrays, and the version of a format."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
 from ..files.errors import InputError
 
+FORMAT_VERSION = 1
+"""Of the formats; older ones are read, newer ones refused by name."""
 MAX_EXTENT = 1 << 24
 """Of an array without elements: nobody counts through 2^40 rows of nothing."""
 _KINDS = {"f": ("fiu", "numbers"), "i": ("iu", "integers"), "b": ("b", "booleans"), "u": ("u", "bytes")}
@@ -61,3 +65,13 @@ def check_indices(array: np.ndarray, count: int, name: str, of: str) -> None:
     """InputError: an index is beyond the `count` things that it is one `of`."""
     if array.size and array.max() >= count:
         raise InputError(f"{name}: index {array.max()} is beyond the {count} {of}")
+
+
+def check_version(record: dict, kind: str, path: Path) -> None:
+    if record.get("format") != kind:
+        raise InputError(f"{path}: not a {kind} (its format is {record.get('format')!r})")
+    version = record.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise InputError(f"{path}: version is {version!r}")
+    if version > FORMAT_VERSION:
+        raise InputError(f"{path}: version {version} is newer than this Cloak reads ({FORMAT_VERSION})")

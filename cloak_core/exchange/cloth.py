@@ -8,8 +8,7 @@ import numpy as np
 
 from ..files.errors import InputError
 from ..files.reading import read_json
-from .bodies import Bodies
-from .surface import face_normals
+from .bodies import Bodies, face_normals
 
 CLOTH_FILE = "cloth.png"
 """Of a run: what to print, a pixel for each square."""

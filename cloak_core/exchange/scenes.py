@@ -11,8 +11,7 @@ from ..files.errors import InputError
 from ..files.reading import read_json, read_npz
 from ..files.writing import new_folder, require_new, write_json, write_npz
 from .bodies import Bodies
-from .checks import frozen
-from .versions import FORMAT_VERSION, check_version
+from .checks import FORMAT_VERSION, check_version, frozen
 
 AXES = "y up, facing +z, right-handed"
 OPTIONAL = ("triangle_face", "face_colors", "loop_total", "loop_vertices", "uv", "triangle_uv", "laid_out")

@@ -1,4 +1,4 @@
-"""Writing files that appear whole or not at all, whatever happens in between."""
+"""Writing files that appear whole or not at all, whatever happens in between; locks between processes."""
 
 from __future__ import annotations
 
@@ -135,6 +135,39 @@ def try_lock(handle: int, path: Path) -> bool:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return True
     return False
+
+
+@contextlib.contextmanager
+def lock(path: Path, wait: bool = False, busy: str = "") -> Iterator[None]:
+    """Hold the lock file `path`, which the system releases when the process ends, however it ends.
+
+    BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made; with `busy`, which says
+    who else there may be, also that it is held.
+    """
+    with open_to_append(path) as file:
+        while not try_lock(file.fileno(), path):
+            if busy:
+                raise InputError(busy)
+            if not wait:
+                raise BlockingIOError(f"{path}: held by another process")
+            time.sleep(0.05)
+        yield
+
+
+def is_held(path: Path) -> bool:
+    """Whether another process holds the lock file `path`; False where there is none, or none that could be asked.
+
+    To ask is to take it for a moment: a process that wants it in that very moment finds it held.
+    """
+    if not path.is_file():
+        return False
+    try:
+        with lock(path):
+            return False
+    except BlockingIOError:
+        return True
+    except InputError:
+        return False
 
 
 @contextlib.contextmanager

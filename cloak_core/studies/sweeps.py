@@ -32,10 +32,9 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
-from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.specs import require_named
-from cloak_core.files.writing import write_json, write_text, written
+from cloak_core.files.writing import lock, write_json, write_text, written
 from cloak_core.jobs.job import Executor, Job, Tell, hand_out, resources
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene

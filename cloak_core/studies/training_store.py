@@ -24,9 +24,8 @@ from cloak_core.core.settings import TrainSettings, settings_record
 from cloak_core.core.training import RunResult
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
-from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import remove_leftovers, write_json, written
+from cloak_core.files.writing import lock, remove_leftovers, write_json, written
 from cloak_core.studies.opening import run_pattern
 from cloak_core.studies.trained_run import read_history
 from cloak_core.studies.trainings.run_record import Training, device_kind

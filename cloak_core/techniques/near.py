@@ -21,7 +21,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.patterns.garments import garment_colors
 from cloak_core.sources.bodies.logos.color_difference import de2000, lab
-from cloak_core.zoo.starting import read_start
+from cloak_core.zoo.entry import read_start
 
 HALVINGS = 12
 """Of the way to the garment's colour, until a face is near enough."""

@@ -16,10 +16,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32
 from PIL import Image
 
+from cloak_core.core.logo import Logo
 from cloak_core.core.pictures import read_picture, save_picture
 from cloak_core.core.run_config import read_config, write_config
+from cloak_core.core.run_folder import RunFolder
 from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
@@ -249,3 +252,17 @@ def _run_of(name: str) -> Path:
             _log.warning("%s: entries of the zoo are not kept (%s)", folder, error)
     _TEMPORARY.append(tempfile.TemporaryDirectory(prefix="cloak-zoo-"))
     return found.write_run(Path(_TEMPORARY[-1].name) / place)
+
+
+def read_start(path: Path, logo: Logo, option: str = "--init") -> Float32[np.ndarray, "L 3"]:
+    """Read colours [L, 3] to begin with: a file of them, or a run (or zoo:NAME) of the same logo. InputError."""
+    path = run_path(path)
+    if not path.is_dir():
+        return read_colors(path, len(logo.face_ids))
+    run = RunFolder(path)
+    if not run.config.exists():
+        raise InputError(f"{option} {path}: not a run folder (no config.json in it)")
+    trained = read_face_list(run.logo)
+    if trained.topology != logo.topology or not np.array_equal(trained.ids, logo.face_ids):
+        raise InputError(f"{option} {path}: was trained on another logo (`cloak logo transfer` carries colours over)")
+    return read_colors(run.colors, len(logo.face_ids))

@@ -10,7 +10,7 @@ from cloak_core.commands.assess import Assess
 from cloak_core.commands.reproduce import PARTS, Reproduce
 from cloak_core.experiments.options import Options
 from cloak_core.files.errors import InputError, Stopped
-from cloak_core.files.locks import lock
+from cloak_core.files.writing import lock
 from cloak_core.jobs.job import done
 from cloak_core.studies import store, training_store
 from tests.schemas import validate

@@ -20,8 +20,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies.opening import open_pattern, open_run
-from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, run_path, shelved, write_entry
-from cloak_core.zoo.starting import read_start
+from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, read_start, run_path, shelved, write_entry
 
 
 @pytest.fixture

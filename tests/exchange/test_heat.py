@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cloak_core.exchange.heat import hottest_faces
+from cloak_core.exchange.face_lists import hottest_faces
 from cloak_core.files.errors import InputError
 
 

@@ -18,7 +18,6 @@ from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
-from cloak_core.files.locks import lock
 from cloak_core.files.reading import (
     MAX_JSON_VALUES,
     open_regular,
@@ -30,7 +29,7 @@ from cloak_core.files.reading import (
     read_toml,
 )
 from cloak_core.files.unpickling import read_pickled_arrays
-from cloak_core.files.writing import open_to_append, write_bytes, write_npz
+from cloak_core.files.writing import lock, open_to_append, write_bytes, write_npz
 from cloak_core.sources.bodies.logos.palette import read_palette
 from cloak_core.sources.bodies.meshes.importing import read_bodies
 

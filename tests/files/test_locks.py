@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core.files.locks import is_held, lock
+from cloak_core.files.writing import is_held, lock
 
 HOLD = (
-    "import sys; from pathlib import Path; from cloak_core.files.locks import lock\n"
+    "import sys; from pathlib import Path; from cloak_core.files.writing import lock\n"
     "with lock(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 )
 

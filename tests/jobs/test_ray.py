@@ -18,7 +18,7 @@ from cloak_core.core.events import read_events
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
-from cloak_core.files.locks import lock
+from cloak_core.files.writing import lock
 from cloak_core.jobs.job import Job
 from cloak_core.jobs.ray_cluster import RayCluster
 from cloak_core.jobs.ray_keeper import processes_of

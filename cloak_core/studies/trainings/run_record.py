@@ -14,7 +14,7 @@ from cloak_core.core.run_config import FILES
 from cloak_core.core.settings import TrainSettings, settings_record
 from cloak_core.core.source import NOBODY, Cast
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.versions import FORMAT_VERSION
+from cloak_core.exchange.checks import FORMAT_VERSION
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
 from cloak_core.files.likeness import pose_shape, pose_spread
 from cloak_core.sources.backdrops.backgrounds import Backgrounds

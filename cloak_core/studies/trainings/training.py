@@ -31,7 +31,7 @@ from cloak_core.sources.bodies.source import BodySource
 from cloak_core.studies.trainings.first_colors import first_colors
 from cloak_core.studies.trainings.run_record import Training, run_config
 from cloak_core.techniques import build_techniques
-from cloak_core.zoo.starting import read_start
+from cloak_core.zoo.entry import read_start
 
 
 def train(

@@ -263,7 +263,7 @@ def test_a_moved_project_finds_its_runs_and_files(ready, monkeypatch, tmp_path):
 
 def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_trainer):
     code = (
-        "import sys; from pathlib import Path; from cloak_core.files.locks import lock\n"
+        "import sys; from pathlib import Path; from cloak_core.files.writing import lock\n"
         "with lock(Path(sys.argv[1]) / '.lock'): print('held', flush=True); sys.stdin.read()"
     )
     holder = subprocess.Popen(
