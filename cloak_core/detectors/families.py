@@ -95,7 +95,7 @@ FAMILIES = {
     ),
     "torchvision": Family(
         spec="torchvision:NAME[:CHECKPOINT]",
-        loader="torchvision_family.loading:load_torchvision",
+        loader="torchvision_family:load_torchvision",
         refuses=NO_LAYOUT | {"letterbox": "torchvision models resize by themselves; drop letterbox"},
         weights="your file, or the official checkpoint in the torch cache",
         licence="BSD-3-Clause; official weights: trained on COCO",

@@ -125,7 +125,7 @@ def _torchvision(model: nn.Module) -> Detector | None:
     """Make a detector of one of torchvision's detection models; None for any other module."""
     from torchvision.models import detection
 
-    from cloak_core.detectors.torchvision_family.loading import wrapped
+    from cloak_core.detectors.torchvision_family import wrapped
 
     kinds = detection.generalized_rcnn.GeneralizedRCNN, detection.RetinaNet, detection.FCOS, detection.ssd.SSD
     name = type(model).__name__

@@ -13,9 +13,9 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 from cloak_core.core.detector.protocol import Detections, Detector, at_least_float32
+from cloak_core.detectors.checkpoints import fold_batch_norm
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.decoding import queries
-from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import IMAGENET, Placement
 from cloak_core.detectors.specs import MAX_SIDE, Request, check_size
 from cloak_core.files.errors import InputError, first_line

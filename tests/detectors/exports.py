@@ -24,7 +24,7 @@ from cloak_core.detectors.classes import COCO
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
 from cloak_core.detectors.onnx_family.model_file import read_model
-from cloak_core.detectors.onnx_family.parity import apart
+from cloak_core.detectors.onnx_family.networks import apart
 from cloak_core.detectors.verification.comparing import Apart, sample_images
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_text
@@ -44,8 +44,7 @@ def by_ultralytics(name: str, path: Path, **options: object) -> None:
 @contextlib.contextmanager
 def _network(name: str) -> Iterator[object]:
     """Make one of the package's networks, whose scores depend on the image, in both heads where it has two."""
-    from cloak_core.detectors.ultralytics_family.architecture import settle_batch_norm
-    from cloak_core.detectors.ultralytics_family.library import library
+    from cloak_core.detectors.ultralytics_family.architecture import library, settle_batch_norm
 
     with library(), warnings.catch_warnings(), torch.random.fork_rng():
         from ultralytics import RTDETR, YOLO

@@ -12,9 +12,9 @@ from torchvision.ops import FrozenBatchNorm2d
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.detector.scoring import max_person_score, person_boxes
+from cloak_core.detectors import torchvision_family
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.torchvision_family import detectors
-from cloak_core.detectors.torchvision_family.loading import model_names
+from cloak_core.detectors.torchvision_family import model_names
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, lowers_score, others_are_the_rest
 
@@ -115,7 +115,7 @@ KINDS = (
 @pytest.mark.parametrize("name", model_names())
 def test_equals_the_models_own(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Detections to 1e-5 and 1e-2 px on several images, and the gradient of the best score."""
-    monkeypatch.setattr(detectors, "CANDIDATES", 10**6)
+    monkeypatch.setattr(torchvision_family, "CANDIDATES", 10**6)
     case = Case(name, tmp_path)
     detector = case.load()
     assert not [m for m in detector.modules() if isinstance(m, (nn.BatchNorm2d, FrozenBatchNorm2d))]
@@ -187,7 +187,7 @@ def test_input_size_and_cut_candidates(tmp_path: Path, monkeypatch: pytest.Monke
     batch = images(1, 120, 150)
     with torch.no_grad():
         full = detector(batch)
-        monkeypatch.setattr(detectors, "CANDIDATES", 10)
+        monkeypatch.setattr(torchvision_family, "CANDIDATES", 10)
         cut = detector(batch)
     assert cut.scores.shape[1] < full.scores.shape[1]
     assert torch.equal(max_person_score(cut), max_person_score(full))

@@ -23,8 +23,7 @@ from tests.detectors.helpers import images, lowers_score
 if find_spec("ultralytics") is None:
     pytest.skip("pip install 'cloak-core[ultralytics]' (AGPL-3.0)", allow_module_level=True)
 
-from cloak_core.detectors.ultralytics_family.architecture import build
-from cloak_core.detectors.ultralytics_family.library import library
+from cloak_core.detectors.ultralytics_family.architecture import build, library
 
 ANCHORS = torch.tensor([[[10.0, 13], [16, 30]], [[30, 61], [62, 45]]])
 STRIDES = torch.tensor([4.0, 8.0])

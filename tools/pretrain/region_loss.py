@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cloak_core.core.detector.scoring import box_iou
-from cloak_core.detectors.darknet.heads import Region
+from cloak_core.detectors.darknet.layers import Region
 
 IGNORE_IOU = 0.5
 """A prediction that overlaps a person this much is never told that it sees nothing."""

@@ -8,14 +8,16 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from cloak_core.detectors.darknet.cfg import Section, parse_cfg
-from cloak_core.detectors.darknet.heads import Head, Region, Yolo
 from cloak_core.detectors.darknet.layers import (
     ACTIVATIONS,
     BatchNorm,
     Convolution,
+    Head,
     MaxPool,
     Plain,
+    Region,
     WeightedShortcut,
+    Yolo,
     match_channels,
     reorg,
 )

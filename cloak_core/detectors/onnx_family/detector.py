@@ -30,11 +30,14 @@ from cloak_core.detectors.onnx_family.networks import (
     Converted,
     NotConvertible,
     Session,
+    Verdict,
     as_input,
+    compare,
     prepared,
+    remembered,
+    takes_batches,
     to_torch,
 )
-from cloak_core.detectors.onnx_family.parity import Verdict, compare, remembered, takes_batches
 from cloak_core.detectors.onnx_family.plainer import order_channels
 from cloak_core.detectors.onnx_family.weights import NotTrainable, TrainableWeights
 from cloak_core.detectors.pixels import YOLO_GREY, PixelFormat, fit

@@ -17,8 +17,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.detectors.classes import names_of
+from cloak_core.detectors.ultralytics_family.architecture import library
 from cloak_core.detectors.ultralytics_family.heads import DenseHead
-from cloak_core.detectors.ultralytics_family.library import library
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import MAX_BYTES, open_regular
 from cloak_core.files.torch_pickles import read_torch_pickle, rewrite_torch_pickle

@@ -11,13 +11,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detections, Detector, at_least_float32
-from cloak_core.detectors.checkpoints import load_state
+from cloak_core.detectors.checkpoints import fold_batch_norm, load_state
 from cloak_core.detectors.classes import COCO, person_index
 from cloak_core.detectors.decoding import Decoded, queries
-from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request, check_size
 from cloak_core.detectors.ultralytics_family.architecture import (
+    PACKAGE,
     QUERIES,
     SEED,
     build,
@@ -27,7 +27,6 @@ from cloak_core.detectors.ultralytics_family.architecture import (
 )
 from cloak_core.detectors.ultralytics_family.checkpoint import Checkpoint, read_checkpoint
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead
-from cloak_core.detectors.ultralytics_family.library import PACKAGE
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from cloak_core.detectors.darknet.heads import Head, Region, Yolo
+from cloak_core.detectors.darknet.layers import Head, Region, Yolo
 
 BOX_WEIGHT = 2.0
 """Of places and sizes beside objectness and classes."""

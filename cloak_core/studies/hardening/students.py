@@ -12,8 +12,7 @@ from torch import Tensor, nn
 from cloak_core.detectors.classes import COCO, UNDERSTOOD, VOC, Description, names_beside
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.detector import BUILTIN_CFG, DarknetDetector
-from cloak_core.detectors.darknet.heads import Yolo
-from cloak_core.detectors.darknet.layers import BatchNorm
+from cloak_core.detectors.darknet.layers import BatchNorm, Yolo
 from cloak_core.detectors.darknet.weights import write_darknet
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
@@ -23,7 +22,7 @@ from cloak_core.detectors.onnx_family.weights import NotTrainable
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.detectors.specs import parse_spec
-from cloak_core.detectors.torchvision_family.detectors import DenseDetector
+from cloak_core.detectors.torchvision_family import DenseDetector
 from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
 from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, distances, rows

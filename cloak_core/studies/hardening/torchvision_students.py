@@ -18,8 +18,7 @@ from torchvision.models.detection.rpn import concat_box_prediction_layers
 from torchvision.models.detection.ssd import SSD
 
 from cloak_core.core.detector.protocol import at_least_float32
-from cloak_core.detectors.torchvision_family.detectors import DenseDetector, TwoStageDetector
-from cloak_core.detectors.torchvision_family.loading import write_torchvision
+from cloak_core.detectors.torchvision_family import DenseDetector, TwoStageDetector, write_torchvision
 from cloak_core.studies.hardening.answers import Answer, Reading, Surer, answer_distance
 from cloak_core.studies.hardening.student import Student
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from cloak_core.detectors.darknet.heads import Region, Yolo
+from cloak_core.detectors.darknet.layers import Region, Yolo
 from cloak_core.studies.hardening.answers import Answer, Reading, Surer, answer_distance, head_distance
 
 SURER = Surer(torch.tensor([True, False]), 0.9)

@@ -130,7 +130,7 @@ def test_a_stopped_hardening_goes_on_to_the_same_bits(
 @pytest.mark.slow
 def test_official_checkpoints_batch_norm_is_told_by_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = "ssdlite320_mobilenet_v3_large"
-    monkeypatch.setattr("cloak_core.detectors.torchvision_family.loading.EPS_ZERO", {name})
+    monkeypatch.setattr("cloak_core.detectors.torchvision_family.EPS_ZERO", {name})
     student = open_student(f"torchvision:{name}:random@64")
     for eps in (0.0, 1e-3):
         for m in student.network.modules():
@@ -144,7 +144,7 @@ def test_official_checkpoints_batch_norm_is_told_by_its_file(tmp_path: Path, mon
 @pytest.mark.slow
 @pytest.mark.parametrize("spec", ULTRALYTICS[:1], indirect=True)
 def test_the_package_reads_what_was_made_of_its_file(spec: str, tmp_path: Path) -> None:
-    from cloak_core.detectors.ultralytics_family.library import library
+    from cloak_core.detectors.ultralytics_family.architecture import library
 
     student = open_student(spec.replace("@64,person=1", "@person=dog"))
     disturb(student)

@@ -1,1 +1,0 @@
-"""torchvision's detection models: Faster, Mask and Keypoint R-CNN, RetinaNet, FCOS, SSD and SSDlite."""
