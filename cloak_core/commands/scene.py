@@ -181,7 +181,7 @@ class Info(Command):
 
     def run(self) -> dict:
         from cloak_core.core.cameras import Camera
-        from cloak_core.sources.bodies.logos.resolution import resolution
+        from cloak_core.sources.bodies.meshes.subdivision import resolution
 
         bodies = load_scene(self.scene)
         return describe(bodies) | {"resolution": resolution(bodies, Camera(distance=self.distance))}

@@ -6,9 +6,8 @@ import torch.nn.functional as F
 
 from cloak_core.core.detector.protocol import Detections, Detector, detector_record, state_hash
 from cloak_core.core.detector.scoring import max_person_score
-from cloak_core.detectors.defended.detector import defend
+from cloak_core.detectors.defended.detector import Bits, Blur, Jpeg, Median, ResizePad, defend
 from cloak_core.detectors.defended.masking import EntropyMask, SegmenterMask, local_entropy
-from cloak_core.detectors.defended.squeezing import Bits, Blur, Jpeg, Median, ResizePad
 from cloak_core.detectors.defended.table import DEFENCES, list_defences
 from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector

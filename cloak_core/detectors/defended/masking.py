@@ -10,7 +10,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load
 from torch import Tensor, nn
 
-from cloak_core.detectors.defended.squeezing import Defence, straight_through
+from cloak_core.detectors.defended.detector import Defence, straight_through
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import read_bytes
 

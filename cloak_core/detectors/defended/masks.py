@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.detectors.defended.squeezing import Defence
+from cloak_core.detectors.defended.detector import Defence
 
 GRID = 6
 """Masks along each side of the image."""

@@ -1,6 +1,6 @@
 """The defences: how each is written, what number it takes, what it is after.
 
-A new one is a row of `DEFENCES` and a `squeezing.Defence`.
+A new one is a row of `DEFENCES` and a `detector.Defence`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.detectors.defended.squeezing import Defence
+    from cloak_core.detectors.defended.detector import Defence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,25 +48,25 @@ DEFENCES = {
         least=1.0,
         most=100.0,
         step=1,
-        made_by="squeezing:Jpeg",
+        made_by="detector:Jpeg",
         what="JPEG compression; attacked straight through (BPDA)",
     ),
     "blur": Kind(
         value="standard deviation in pixels",
         least=0.1,
         most=20.0,
-        made_by="squeezing:Blur",
+        made_by="detector:Blur",
         what="Gaussian blur; differentiable",
     ),
     "median": Kind(
-        value="side in pixels", least=3.0, most=9.0, step=2, made_by="squeezing:Median", what="median; differentiable"
+        value="side in pixels", least=3.0, most=9.0, step=2, made_by="detector:Median", what="median; differentiable"
     ),
     "bits": Kind(
         value="bits of a channel",
         least=1.0,
         most=8.0,
         step=1,
-        made_by="squeezing:Bits",
+        made_by="detector:Bits",
         what="fewer levels of brightness; attacked straight through (BPDA)",
     ),
     "resize-pad": Kind(
@@ -74,7 +74,7 @@ DEFENCES = {
         least=0.01,
         most=0.6,
         usual=0.2,
-        made_by="squeezing:ResizePad",
+        made_by="detector:ResizePad",
         what="random size and place; attacked in expectation, each step drawing anew (EOT)",
     ),
     "entropy-mask": Kind(

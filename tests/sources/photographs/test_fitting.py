@@ -13,8 +13,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.jobs.processes import Processes
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
-from cloak_core.sources.photographs.compact import pack_fit, unpack_fit
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.fits import fit_people, pack_fit, unpack_fit
 from cloak_core.sources.photographs.fitting import fit_all
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.rig import ANNY, body_rig, faces_on_rig

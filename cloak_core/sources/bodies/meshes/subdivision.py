@@ -1,11 +1,14 @@
-"""Midpoint subdivision that remembers which polygon every new one came from."""
+"""Midpoint subdivision that remembers which polygon every new one came from; which level a camera calls for."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
+from cloak_core.core.cameras import Camera
+from cloak_core.core.geometry import sum_by_face
 from cloak_core.core.polygons import next_corner, per_corner, polygon_loops, triangulate
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -13,6 +16,9 @@ from cloak_core.sources.bodies.meshes.mesh_file import mean_of_corners
 from cloak_core.sources.bodies.meshes.textures import texture_means
 
 MAX_TRIANGLES = 20_000_000
+# Square pixels: below the first a face hardly moves a pixel; above the second it is a visible cell of plain colour.
+FINE, COARSE = 0.1, 8.0
+MAX_LEVEL = 2
 
 
 def subdivide(bodies: Bodies, levels: int = 1) -> tuple[Bodies, np.ndarray]:
@@ -112,3 +118,52 @@ def split_triangles(loop_total: np.ndarray, loop: np.ndarray, point_count: int) 
     ab, bc, ca = point_count + edge.reshape(-1, 3).T
     four = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)
     return four.reshape(-1), np.full(4 * len(loop_total), 3), edges, None
+
+
+def projected_areas(bodies: Bodies, camera: Camera) -> Float[np.ndarray, " faces"]:
+    """Compute the screen area of every face in square pixels, as if nothing hid it; backs count nothing. First pose."""
+    points = bodies.vertices[0].astype(np.float64)
+    pivot = camera.pivot or tuple((points.min(axis=0) + points.max(axis=0)) / 2)
+    right, up, back = (np.array(axis) for axis in camera.axes)
+    offset = points - camera.position(pivot)
+    depth = -(offset @ back)
+    if depth.min() <= camera.near_plane:
+        raise InputError(f"camera distance {camera.distance}: parts of the body lie behind the camera")
+    screen = np.stack([offset @ right, offset @ up], axis=1) * (camera.focal / depth)[:, None]
+    a, b, c = screen[bodies.triangles].transpose(1, 0, 2)
+    area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    return sum_by_face(bodies, np.maximum(area, 0))
+
+
+def resolution(bodies: Bodies, camera: Camera) -> dict[str, float | int | str]:
+    """Report on the faces of bodies as a camera sees the first pose.
+
+    faces: how many of them look at the camera, hidden or not; their projected areas in square pixels (median, 10th and
+    90th percentile), under_fine: share of those under 0.1 px^2, level: the subdivision level (0 to 2) that this picture
+    calls for, and hint: the same in words. InputError: none looks at the camera, or it stands in the body.
+    """
+    areas = projected_areas(bodies, camera)
+    areas = areas[areas > 0]
+    if not len(areas):
+        raise InputError("no face looks at the camera")
+    tenth, median, most = np.percentile(areas, [10, 50, 90])
+    under_fine = float((areas < FINE).mean())
+    # Each level makes a face a quarter as large; it pays as long as that leaves most faces above the fine limit.
+    level = next((n for n in range(MAX_LEVEL) if median / 4**n <= COARSE or median / 4 ** (n + 1) <= FINE), MAX_LEVEL)
+    where = f"at distance {camera.distance:g}, {camera.width} x {camera.height} pixels"
+    if under_fine > 0.5:
+        hint = f"most faces are under {FINE:g} px² {where}: level 1 gains nothing, a coarser mesh would do"
+    elif level:
+        hint = f"the median face is {median:.3g} px² {where}: level {level} makes it {median / 4**level:.2g} px²"
+    else:
+        hint = f"the median face is {median:.2g} px² {where}: level 0 is fine enough, level 1 would make it"
+        hint += f" {median / 4:.2g}"
+    return {
+        "faces": len(areas),
+        "median": float(median),
+        "smallest_tenth": float(tenth),
+        "largest_tenth": float(most),
+        "under_fine": under_fine,
+        "level": level,
+        "hint": hint,
+    }

@@ -5,7 +5,7 @@ import pytest
 
 from cloak_core.core.cameras import Camera
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.logos.resolution import projected_areas, resolution
+from cloak_core.sources.bodies.meshes.subdivision import projected_areas, resolution
 from tests.sources.bodies.solids import cube
 
 
