@@ -35,29 +35,25 @@ def read_scene(path: str | os.PathLike) -> Bodies:
     for key in ("vertices", "triangles"):
         if key not in arrays:
             raise InputError(f"{arrays_path}: not a scene (no array '{key}')")
+    topology = record.get("topology")
+    named = lambda prefix: {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}
     try:
-        bodies = _bodies_from_arrays(arrays, str(record.get("name", path.stem)), record.get("topology"))
+        bodies = Bodies(
+            vertices=arrays["vertices"],
+            triangles=arrays["triangles"],
+            **{key: arrays.get(key) for key in OPTIONAL},
+            regions=named("region_"),
+            textures=named("texture_"),
+            outfit_textures=tuple(str(n) for n in arrays.get("outfit_textures", ())),
+            names=tuple(str(n) for n in arrays.get("names", ())),
+            name=str(record.get("name", path.stem)),
+            recorded_topology=topology if isinstance(topology, str) else None,
+        )
     except InputError as error:
         raise InputError(f"{arrays_path}: {error}") from None
-    recorded = record.get("topology", bodies.topology)
-    if recorded != bodies.topology:
-        raise InputError(f"{path}: scene.json records topology {recorded}, bodies.npz holds {bodies.topology}")
+    if record.get("topology", bodies.topology) != bodies.topology:
+        raise InputError(f"{path}: scene.json records topology {topology}, bodies.npz holds {bodies.topology}")
     return bodies
-
-
-def _bodies_from_arrays(arrays: dict[str, np.ndarray], name: str, topology: object) -> Bodies:
-    named = lambda prefix: {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}
-    return Bodies(
-        vertices=arrays["vertices"],
-        triangles=arrays["triangles"],
-        **{key: arrays.get(key) for key in OPTIONAL},
-        regions=named("region_"),
-        textures=named("texture_"),
-        outfit_textures=tuple(str(n) for n in arrays.get("outfit_textures", ())),
-        names=tuple(str(n) for n in arrays.get("names", ())),
-        name=name,
-        recorded_topology=topology if isinstance(topology, str) else None,
-    )
 
 
 def write_scene(folder: str | os.PathLike, bodies: Bodies, creator: str = "cloak") -> Path:

@@ -168,23 +168,15 @@ class MemoryCache:
 def storages(item: object) -> dict[int, int]:
     """The memory behind arrays and (torch) tensors, address -> bytes: of one, of those in a list, tuple or dictionary,
     or of those among an object's attributes, and theirs."""
-    own = _storage(item)
-    if own is not None:
-        return dict([own])
+    if hasattr(item, "untyped_storage"):
+        storage = item.untyped_storage()
+        return {storage.data_ptr(): storage.nbytes()}
+    if isinstance(item, np.ndarray):
+        while isinstance(item.base, np.ndarray):
+            item = item.base
+        return {item.ctypes.data: item.nbytes}
     parts = item if isinstance(item, (list, tuple)) else item.values() if isinstance(item, dict) else []
     found = {}
     for part in (*parts, *getattr(item, "__dict__", {}).values()):
         found |= storages(part)
     return found
-
-
-def _storage(part: object) -> tuple[int, int] | None:
-    """Address and bytes of the memory behind an array or a tensor."""
-    if hasattr(part, "untyped_storage"):
-        storage = part.untyped_storage()
-        return storage.data_ptr(), storage.nbytes()
-    if not isinstance(part, np.ndarray):
-        return None
-    while isinstance(part.base, np.ndarray):
-        part = part.base
-    return part.ctypes.data, part.nbytes

@@ -44,17 +44,6 @@ def unpacked(text: str) -> np.ndarray | None:
     return np.frombuffer(data, np.uint8).reshape(SIDE, SIDE).astype(np.float32) if len(data) == SIDE**2 else None
 
 
-def parts_of_others(known: Sequence[str], new: Sequence[str]) -> Iterator[tuple[int, int]]:
-    """Pairs (index in `known`, index in `new`) of which one is a part of the other, mirrored or not; both packed.
-
-    Only the first of `known` are compared where there are more pairs than `MOST_PAIRS`, see `parts_are_told`.
-    """
-    some = known[: MOST_PAIRS // max(1, len(new))]
-    ours, theirs = ([unpacked(text) for text in texts] for texts in (some, new))
-    yield from _parts(ours, theirs)
-    yield from ((i, j) for j, i in _parts(theirs, ours))
-
-
 def parts_are_told(known: Sequence[str], new: Sequence[str]) -> bool:
     """Tell whether `similar_looks` finds parts of pictures: looks of `known` are recorded, few enough, each with its
     copy, or none of `new` shows anything."""
@@ -67,13 +56,15 @@ def _parts(whole: list[np.ndarray | None], part: list[np.ndarray | None]) -> Ite
     there = [j for j, copy in enumerate(part) if copy is not None]
     if not there:
         return
-    windows, _ = _windows()
+    windows, pairs = _windows()
     copies = np.stack([part[j] for j in there])
     signs = np.array([_signature(windows[0] @ c @ windows[0].T) for c in np.concatenate([copies, copies[:, :, ::-1]])])
     for i, copy in enumerate(whole):
         if copy is None:
             continue
-        best = (_signatures(copy) @ signs.T).max(0).reshape(2, len(there)).max(0)
+        both = np.einsum("akt,blt->abkl", windows @ copy, windows, optimize=True)
+        signatures = _signature(both[pairs[:, 0], pairs[:, 1]])  # [parts, 63]: of every part of the picture
+        best = (signatures @ signs.T).max(0).reshape(2, len(there)).max(0)
         yield from ((i, there[k]) for k in np.flatnonzero(best >= ALIKE))
 
 
@@ -93,14 +84,6 @@ def _windows() -> tuple[np.ndarray, np.ndarray]:
             sizes.append(size)
     near = np.abs(np.subtract.outer(sizes, sizes)) <= _STRETCH
     return np.array(windows, np.float32), np.argwhere(near)
-
-
-def _signatures(copy: np.ndarray) -> np.ndarray:
-    """[parts, 63]: of every part of a picture."""
-    windows, pairs = _windows()
-    down = windows @ copy
-    both = np.einsum("akt,blt->abkl", down, windows, optimize=True)
-    return _signature(both[pairs[:, 0], pairs[:, 1]])
 
 
 def _signature(cosines: np.ndarray) -> np.ndarray:
@@ -145,14 +128,19 @@ def picture_look(pixels: np.ndarray) -> str:
 
 
 def similar_looks(known: Sequence[str], new: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs (index in `known`, index in `new`) of looks of the same picture or of parts of it, mirrored or not."""
+    """Pairs (index in `known`, index in `new`) of looks of the same picture or of parts of it, mirrored or not.
+
+    Parts are looked for in the first of `known` alone where there are more pairs than `MOST_PAIRS`, see
+    `parts_are_told`.
+    """
     ours, theirs = _signs(known), _signs(new)
     # A mirrored picture has the odd horizontal waves turned over.
     mirrored = np.where(np.arange(1, _BITS + 1) % _WAVES % 2, -1, 1).astype(np.float32)
     agreement = np.maximum(ours @ theirs.T, (ours * mirrored) @ theirs.T)
     same = {(int(i), int(j)) for i, j in np.argwhere(agreement >= _BITS * (1 - 2 * LOOK_DISTANCE))}
-    copies = ([look.partition(".")[2] for look in looks] for looks in (known, new))
-    return sorted(same | set(parts_of_others(*copies)))
+    some = known[: MOST_PAIRS // max(1, len(new))]
+    whole, parts = ([unpacked(look.partition(".")[2]) for look in looks] for looks in (some, new))
+    return sorted(same | set(_parts(whole, parts)) | {(i, j) for j, i in _parts(parts, whole)})
 
 
 def pose_shape(vertices: np.ndarray) -> list[float]:

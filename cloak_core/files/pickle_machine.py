@@ -121,6 +121,7 @@ class PickleMachine(pickle._Unpickler):
         self.path, self.left = path, SPARE_BYTES + TIMES_THE_FILE * (bounded.size if size is None else size)
         self.classes: dict[str, type[Record]] = {}
         self.empty: dict[int, np.ndarray] = {}
+        """Arrays that their states will fill, once: filled again, views of them would look at freed memory."""
 
     def charge(self, count: int) -> None:
         """ValueError: so many bytes more are out of all proportion to the file."""
@@ -157,12 +158,6 @@ class PickleMachine(pickle._Unpickler):
         if not isinstance(function, Admitted):
             raise ValueError("a call of something that is no function")
         return function.make(self, *arguments)
-
-    def new_array(self) -> np.ndarray:
-        """An array that its state fills, once: filled again, views of it would look at freed memory."""
-        array = np.ndarray((0,), "b")
-        self.empty[id(array)] = array
-        return array
 
     def _fill(self, array: np.ndarray, state: object) -> None:
         _, shape, kind, by_column, data = state

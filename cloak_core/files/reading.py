@@ -166,7 +166,17 @@ def read_npz(path: str | os.PathLike, most_bytes: int = MAX_ARRAY_BYTES) -> dict
     `MAX_ARRAY_BYTES`."""
     with open_regular(path) as file:
         try:
-            return _read_archive(file, min(most_bytes, MAX_ARRAY_BYTES))
+            check_directory(file)
+            with zipfile.ZipFile(file) as archive:
+                members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
+                most_bytes = min(most_bytes, MAX_ARRAY_BYTES)
+                if sum(m.file_size for m in members) > most_bytes:
+                    raise ValueError(f"it would unpack to more than {_size(most_bytes)}")
+                arrays = {}
+                for member in members:
+                    with archive.open(member) as packed:
+                        arrays[member.filename[:-4]] = _read_array(packed, member.file_size)
+                return arrays
         except (MemoryError, OSError):
             raise
         except Exception as error:
@@ -176,19 +186,6 @@ def read_npz(path: str | os.PathLike, most_bytes: int = MAX_ARRAY_BYTES) -> dict
                 raise
             words = "another kind of file" if str(error) == "File is not a zip file" else first_line(error)
             raise InputError(f"{path}: not a readable .npz archive ({words})") from None
-
-
-def _read_archive(file: BinaryIO, most_bytes: int) -> dict[str, np.ndarray]:
-    check_directory(file)
-    with zipfile.ZipFile(file) as archive:
-        members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
-        if sum(m.file_size for m in members) > most_bytes:
-            raise ValueError(f"it would unpack to more than {_size(most_bytes)}")
-        arrays = {}
-        for member in members:
-            with archive.open(member) as packed:
-                arrays[member.filename[:-4]] = _read_array(packed, member.file_size)
-        return arrays
 
 
 def check_directory(file: BinaryIO) -> None:

@@ -44,19 +44,16 @@ def check_shape(value: object, shape: Shape, what: str, place: str = "") -> None
             check_shape(part, shape[0], what, f"{place}[{number}]")
     else:
         _require(isinstance(value, dict), value, "a record", what, place)
-        _check_record(value, shape, what, f"{place}." if place else "")
-
-
-def _check_record(record: dict, shape: dict, what: str, before: str) -> None:
-    named = {key.removesuffix("?"): inner for key, inner in shape.items() if key != "*"}
-    for key, inner in named.items():
-        if key in record:
-            check_shape(record[key], inner, what, f"{before}{key}")
-        elif f"{key}?" not in shape:
-            raise InputError(f"{what}: {before.removesuffix('.') or 'the record'} has no '{key}'")
-    for key in record.keys() - named.keys() if "*" in shape else ():
-        _require(key.isprintable(), key, "a name that can be printed", what, before)
-        check_shape(record[key], shape["*"], what, f"{before}{key}")
+        before = f"{place}." if place else ""
+        named = {key.removesuffix("?"): inner for key, inner in shape.items() if key != "*"}
+        for key, inner in named.items():
+            if key in value:
+                check_shape(value[key], inner, what, f"{before}{key}")
+            elif f"{key}?" not in shape:
+                raise InputError(f"{what}: {place or 'the record'} has no '{key}'")
+        for key in value.keys() - named.keys() if "*" in shape else ():
+            _require(key.isprintable(), key, "a name that can be printed", what, before)
+            check_shape(value[key], shape["*"], what, f"{before}{key}")
 
 
 def _require(fits: bool, value: object, words: str, what: str, place: str) -> None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.detector.protocol import Detections, Detector
@@ -47,23 +47,28 @@ class Masks(Defence):
         height, width = images.shape[2:]
         for top, bottom in spans(height, self.patch):
             for left, right in spans(width, self.patch):
-                hidden = torch.zeros(height, width, dtype=torch.bool, device=images.device)
-                hidden[top:bottom, left:right] = True
-                yield _best(inner(images.masked_fill(hidden, FILL)))
+                masked = torch.zeros(height, width, dtype=torch.bool, device=images.device)
+                masked[top:bottom, left:right] = True
+                yield _best(inner(images.masked_fill(masked, FILL)))
 
     def detect(self, inner: Detector, images: Float[Tensor, "B 3 H W"]) -> Detections:
         """Join the answers: those under masks without the boxes that the whole image's boxes explain."""
         whole = inner(images)
         best = _best(whole)
-        found = []
+        b, b_scores = best.boxes.detach()[:, None], best.scores[:, None]
+        answers = []
         for answer in self.answers(inner, images):
-            dropped = _explained(answer, best)
-            # In their place stands padding: a box of zeros and scores of 0.
-            found.append(
-                answer.each(lambda part, d=dropped: part.masked_fill(d.view(d.shape + (1,) * (part.dim() - 2)), 0))
+            a = answer.boxes.detach()[:, :, None]
+            sides = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0)
+            own = (a[..., 2:] - a[..., :2]).clamp(min=0).prod(-1)
+            # A box lies in one of the whole image that scores at least as high.
+            explained = ((sides.prod(-1) >= EXPLAINED * own) & (b_scores >= answer.scores[:, :, None])).any(2)
+            # In its place stands padding: a box of zeros and scores of 0.
+            answers.append(
+                answer.each(lambda part, d=explained: part.masked_fill(d.view(d.shape + (1,) * (part.dim() - 2)), 0))
             )
         return Detections(
-            *(None if parts[0] is None else torch.cat(parts, 1) for parts in zip(whole, *found, strict=True))
+            *(None if parts[0] is None else torch.cat(parts, 1) for parts in zip(whole, *answers, strict=True))
         )
 
 
@@ -77,12 +82,3 @@ def spans(length: int, patch: int) -> list[tuple[int, int]]:
 def _best(found: Detections) -> Detections:
     rows = found.scores.topk(min(KEPT, found.scores.shape[1]), dim=1).indices
     return found.each(lambda part: part[torch.arange(len(rows), device=rows.device)[:, None], rows])
-
-
-def _explained(found: Detections, whole: Detections) -> Bool[Tensor, "B n"]:
-    """Tell which boxes lie in a box of the whole image that scores at least as high."""
-    a, b = found.boxes.detach()[:, :, None], whole.boxes.detach()[:, None]
-    sides = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0)
-    own = (a[..., 2:] - a[..., :2]).clamp(min=0).prod(-1)
-    inside = sides.prod(-1) >= EXPLAINED * own
-    return (inside & (whole.scores[:, None] >= found.scores[:, :, None])).any(2)

@@ -177,7 +177,13 @@ def assemble(request: Request, file: NetworkFile, network: Converted | BlackBox)
     Each as the spec says, else the file, else the JSON file beside it, else as the layout usually has it. InputError
     names what is missing or ambiguous.
     """
-    outputs = _first_outputs(file, network)
+    try:
+        with torch.no_grad():
+            outputs = network(sample_images(file.size)[:1])
+    except InputError as error:
+        raise InputError(f"{file.path}: {error}") from None
+    except Exception as error:  # of onnx2torch's modules, or the runtime's own
+        raise (_fails(error) if isinstance(network, Converted) else _does_not_run(file, error)) from None
     name, layout, decode = _layout(request, file, outputs)
     letterbox = request.letterbox or (layout.letterbox and not request.stretch)
     pixels = request.pixels or file.first("pixels")
@@ -204,17 +210,6 @@ def load_black_box(
     detector = assemble(request, file, BlackBox(run, file.digest, file.channels_last, one_by_one=True))
     detector.packages = (package,)
     return detector.freeze()
-
-
-@torch.no_grad()
-def _first_outputs(file: NetworkFile, network: Converted | BlackBox) -> list[Tensor]:
-    """Run the network on one sample image."""
-    try:
-        return network(sample_images(file.size)[:1])
-    except InputError as error:
-        raise InputError(f"{file.path}: {error}") from None
-    except Exception as error:  # of onnx2torch's modules, or the runtime's own
-        raise (_fails(error) if isinstance(network, Converted) else _does_not_run(file, error)) from None
 
 
 def _does_not_run(file: NetworkFile, error: Exception) -> InputError:

@@ -139,7 +139,12 @@ def read_proto(path: Path) -> tuple[onnx.ModelProto, str]:
         raise InputError(
             f"{path}: is of opset {_opset(model)}, {known}; update onnx, or export the file with an older one"
         )
-    check_tensors(model, path)
+    # Before any library sees its tensors: onnxruntime ends the process over shapes that are negative or too large.
+    nodes = [*model.graph.node, *(node for function in model.functions for node in function.node)]
+    for name, extents in _extents(model.graph, nodes, path, 0):
+        if min(extents, default=0) < 0 or math.prod(extents) > MAX_BYTES:
+            shape = "x".join(map(str, extents[:8]))
+            raise InputError(f"{path}: its tensor {name or '(without a name)'} declares a shape of {shape}")
     outside = _load_outside(model, path)
     return model, sha256_arrays(np.frombuffer(data, np.uint8), *outside)
 
@@ -200,18 +205,6 @@ def _as_float32(model: onnx.ModelProto, path: Path) -> None:
 
 MAX_DEPTH = 32
 """Graphs within graphs (branches of If, bodies of Loop)."""
-
-
-def check_tensors(model: onnx.ModelProto, path: Path) -> None:
-    """Check the tensors' shapes. InputError: a negative extent, or more numbers than any model taken here.
-
-    Before any library sees them: onnxruntime ends the process over some.
-    """
-    nodes = [*model.graph.node, *(node for function in model.functions for node in function.node)]
-    for name, extents in _extents(model.graph, nodes, path, 0):
-        if min(extents, default=0) < 0 or math.prod(extents) > MAX_BYTES:
-            shape = "x".join(map(str, extents[:8]))
-            raise InputError(f"{path}: its tensor {name or '(without a name)'} declares a shape of {shape}")
 
 
 def _extents(

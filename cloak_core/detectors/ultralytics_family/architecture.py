@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import difflib
-import importlib
+import importlib.util
 import logging
 import os
 import re
@@ -109,9 +109,16 @@ def read_architecture(where: str) -> dict:
     """
     import yaml  # comes with ultralytics
 
-    path = Path(where).expanduser()
+    path, match = Path(where).expanduser(), _SCALED.match(Path(where).stem)
     if not path.is_file():
-        path = _shipped(where)
+        (folder,) = importlib.util.find_spec(PACKAGE).submodule_search_locations
+        shipped = {file.name: file for file in sorted((Path(folder) / "cfg" / "models").rglob("*.yaml"))}
+        unscaled = f"{match['family']}{match['rest'] or ''}.yaml" if match else ""
+        name = next((name for name in (where, unscaled) if name in shipped), "")
+        if not name or Path(where).name != where:
+            near = ", ".join(difflib.get_close_matches(Path(where).name, shipped, 3, 0.5) or ["yolov8.yaml"])
+            raise InputError(f"{where}: no such file, and ultralytics has none of that name (near: {near})")
+        path = shipped[name]
     try:
         found = yaml.safe_load(read_text(path, MAX_YAML_BYTES))
     except (yaml.YAMLError, RecursionError, ValueError) as error:
@@ -120,23 +127,9 @@ def read_architecture(where: str) -> dict:
         raise InputError(f"{where}: not YAML ({first_line(error)[:160]})") from None
     if not isinstance(found, dict):
         raise InputError(f"{where}: describes no network (backbone, head, nc)")
-    match = _SCALED.match(Path(where).stem)
     if "scales" in found and match and "scale" not in found:
         found["scale"] = match["scale"]
     return found
-
-
-def _shipped(where: str) -> Path:
-    import importlib.util
-
-    (folder,) = importlib.util.find_spec("ultralytics").submodule_search_locations
-    known = {path.name: path for path in sorted((Path(folder) / "cfg" / "models").rglob("*.yaml"))}
-    match = _SCALED.match(Path(where).stem)
-    unscaled = f"{match['family']}{match['rest'] or ''}.yaml" if match else ""
-    if Path(where).name == where and (where in known or unscaled in known):
-        return known.get(where) or known[unscaled]
-    near = difflib.get_close_matches(Path(where).name, known, 3, 0.5) or ["yolov8.yaml"]
-    raise InputError(f"{where}: no such file, and ultralytics has none of that name (near: {', '.join(near)})")
 
 
 def build(architecture: dict, where: str) -> nn.Module:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -163,25 +162,20 @@ def write_ultralytics(path: Path, network: nn.Module, source: Path) -> None:
 
     From a .pt: that file with the network's parameters in the place of its own (in the precision that it keeps them
     in, mostly half), so that whatever else it says stays. From a .yaml: a whole model of the package, in float32.
+    InputError: as `read_checkpoint`; a parameter that the file does not have in this shape.
     """
-    if source.suffix.lower() == ".pt":
-        own, last = network.model[-1], f"model.{len(network.model) - 1}."
-        parameters = dict(network.named_parameters())
-        if isinstance(own, DenseHead):  # under the names that they have in files
-            parameters = {name: value for name, value in parameters.items() if not name.startswith(last)}
-            parameters |= {f"{last}{name}": value for name, value in own.replaced[0].named_parameters()}
-        replace_weights(source, path, parameters)
+    if source.suffix.lower() != ".pt":
+        with library():
+            model = copy.deepcopy(network)
+            model.model[-1] = model.model[-1].replaced[0]
+            content = {"model": model.cpu().requires_grad_(False), "ema": None}
+            replace_file(path, lambda file: torch.save(content, file))
         return
-    with library():
-        model = copy.deepcopy(network)
-        model.model[-1] = model.model[-1].replaced[0]
-        content = {"model": model.cpu().requires_grad_(False), "ema": None}
-        replace_file(path, lambda file: torch.save(content, file))
-
-
-def replace_weights(source: Path, target: Path, parameters: Mapping[str, Tensor]) -> None:
-    """Write `source` again as `target` with these parameters, by name, in the place of its model's; all else stays as
-    it is. InputError: as `read_checkpoint`; a parameter that it does not have in this shape."""
+    head, last = network.model[-1], f"model.{len(network.model) - 1}."
+    parameters = dict(network.named_parameters())
+    if isinstance(head, DenseHead):  # under the names that they have in files
+        parameters = {name: value for name, value in parameters.items() if not name.startswith(last)}
+        parameters |= {f"{last}{name}": value for name, value in head.replaced[0].named_parameters()}
 
     def replace(content: object) -> None:
         modules = _modules(_model(content, source), source)
@@ -192,4 +186,4 @@ def replace_weights(source: Path, target: Path, parameters: Mapping[str, Tensor]
                 raise InputError(f"{source}: has no {name} of {tuple(value.shape)}")
             there[...] = value.detach().cpu().numpy()
 
-    rewrite_torch_pickle(source, target, replace)
+    rewrite_torch_pickle(source, path, replace)

@@ -210,10 +210,12 @@ class _Reader:
             return image, picture
         data = read_bytes(path, MAX_FILE_BYTES)
         key = hashlib.sha256(data).hexdigest()
-        image, picture = self._decoded(key, height, width), self._identified(key)
-        if image is None or picture is None:
+        image, kept = self._decoded(key, height, width), self._pictures.get(f"{key}-{self._decoder}")
+        pixels, comma, look = ("" if kept is None else kept.tobytes().decode("ascii", "replace")).partition(",")
+        picture = Picture(pixels, look, key)
+        if image is None or not comma:
             whole = _decode(path, data)
-            if picture is None:
+            if not comma:
                 pixels = np.asarray(whole)
                 picture = Picture(sha256_arrays(pixels), picture_look(pixels), key)
                 self._pictures.put(f"{key}-{self._decoder}", f"{picture.pixels},{picture.look}".encode())
@@ -224,11 +226,6 @@ class _Reader:
     def _decoded(self, key: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:
         data = self._images.get(f"{key}-{height}x{width}-{self._decoder}")
         return None if data is None or len(data) != height * width * 3 else data.reshape(height, width, 3)
-
-    def _identified(self, key: str) -> Picture | None:
-        data = self._pictures.get(f"{key}-{self._decoder}")
-        pixels, comma, look = ("" if data is None else data.tobytes().decode("ascii", "replace")).partition(",")
-        return Picture(pixels, look, key) if comma else None
 
 
 def _decode(path: Path, data: bytes) -> Image.Image:

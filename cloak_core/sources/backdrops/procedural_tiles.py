@@ -71,16 +71,6 @@ def grid(rng: Rng, color: Color, rows: int, columns: int, offset: bool) -> Image
     return image
 
 
-def checker(rng: Rng) -> Image.Image:
-    """Draw a floor of two colours."""
-    color = random_color(rng, saturation=(0, 0.5))
-    other_color = shade(color, rng.uniform(0.4, 0.8)) if rng.random() < 0.6 else random_color(rng)
-    cells = rng.integers(2, 7)
-    pattern = np.indices((cells, cells)).sum(0)[..., None] % 2
-    small = Image.fromarray(np.where(pattern, color, other_color).astype(np.uint8))
-    return small.resize((cells * 16, cells * 16), Image.Resampling.NEAREST)
-
-
 def stripes(rng: Rng, upright: bool = True) -> Image.Image:
     """Draw wallpaper, curtains, cladding: bands of two colours, soft or hard."""
     color = random_color(rng, saturation=(0, 0.5))
@@ -207,10 +197,15 @@ def surface(rng: Rng) -> Image.Image:
 
 
 def floor(rng: Rng) -> Image.Image:
-    """Choose something that a floor is covered with."""
+    """Choose something that a floor is covered with: squares of two colours, planks, or one colour."""
     kind = rng.integers(3)
     if kind == 0:
-        return checker(rng)
+        color = random_color(rng, saturation=(0, 0.5))
+        other_color = shade(color, rng.uniform(0.4, 0.8)) if rng.random() < 0.6 else random_color(rng)
+        cells = rng.integers(2, 7)
+        pattern = np.indices((cells, cells)).sum(0)[..., None] % 2
+        small = Image.fromarray(np.where(pattern, color, other_color).astype(np.uint8))
+        return small.resize((cells * 16, cells * 16), Image.Resampling.NEAREST)
     color = random_color(rng, (0.02, 0.14), (0.05, 0.6), (0.2, 0.9))
     if kind == 1:
         return grid(rng, color, int(rng.integers(3, 10)), int(rng.integers(1, 8)), bool(rng.random() < 0.5))

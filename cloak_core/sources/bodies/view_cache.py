@@ -111,8 +111,17 @@ class ViewCache:
         return spread(self._build, keys, count)
 
     def _build(self, key: Key, count: int = 1) -> View:
-        screen, light, stage = self.screen([key]), self._view_space_light(*key), backend(self.works_on)
-        lit = lambda band: stage.build_view(self._band(key, screen, band), screen, self._surface, *light)
+        screen, stage = self.screen([key]), backend(self.works_on)
+        pose, camera = self._pose(key[0]), key[1]
+        # Vertex normals and the light's position, in the view's space.
+        right, up, back = camera.axes
+        axes = (right, up, tuple(-b for b in back))
+        position = camera.position(camera.pivot or pose.center)
+        offset = [a - b for a, b in zip(self.settings.light.position, position, strict=True)]
+        light = [sum(a * o for a, o in zip(axis, offset, strict=True)) for axis in axes]
+        rotation, light = (torch.tensor(t, dtype=torch.float32).to(self.works_on) for t in (axes, light))
+        normals = rotation @ pose.normals
+        lit = lambda band: stage.build_view(self._band(key, screen, band), screen, self._surface, normals, light)
         return View.join(spread(lit, self._bands(screen, count), count)).to(self.device)
 
     def screen(self, keys: Sequence[Key]) -> Screen:
@@ -179,18 +188,6 @@ class ViewCache:
         if self.settings.by_area:
             return area_fragments(screen, self._surface.triangles, self.cull([key], screen), window)
         return merge_samples(self.visibility([key], screen, window))
-
-    def _view_space_light(
-        self, pose_index: int, camera: Camera
-    ) -> tuple[Float32[Tensor, "3 V"], Float32[Tensor, " 3"]]:
-        """Rotate vertex normals and the light's position into the view's space."""
-        pose, (right, up, back) = self._pose(pose_index), camera.axes
-        axes = (right, up, tuple(-b for b in back))
-        position = camera.position(camera.pivot or pose.center)
-        offset = [a - b for a, b in zip(self.settings.light.position, position, strict=True)]
-        light = [sum(a * o for a, o in zip(axis, offset, strict=True)) for axis in axes]
-        rotation, light = (torch.tensor(t, dtype=torch.float32).to(self.works_on) for t in (axes, light))
-        return rotation @ pose.normals, light
 
     def _pose(self, index: int) -> _Pose:
         pose = self._kept.get(("pose", index))

@@ -100,9 +100,18 @@ def read_mask(segmentation: object, height: int, width: int, what: str) -> Outli
     segmentation: a list of polygons [x, y, x, y, ...], or {"size": [h, w], "counts": list or packed string}. `what`
     names annotation and file in the `InputError` that a broken or misplaced segmentation raises.
     """
-    if isinstance(segmentation, list):
-        return _polygons(segmentation, height, width, what)
-    return _run_lengths(segmentation, height, width, what)
+    if not isinstance(segmentation, list):
+        return _run_lengths(segmentation, height, width, what)
+    polygons = []
+    for polygon in segmentation:
+        if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
+            raise InputError(f"{what}: a polygon is a list of at least three x, y")
+        points = numbers(polygon, what).reshape(-1, 2)
+        # COCO's own polygons reach a pixel beyond the border here and there.
+        if points.min() < -2 or (points.max(axis=0) > (width + 2, height + 2)).any():
+            raise InputError(f"{what}: a polygon lies outside the photograph ({width} x {height})")
+        polygons.append(points)
+    return polygons
 
 
 def draw_mask(outline: Outline, height: int, width: int) -> Bool[np.ndarray, "h w"]:
@@ -151,19 +160,6 @@ def _unpack_counts(packed: str, what: str) -> list[int]:
     if shift:
         raise InputError(f"{what}: run lengths end in the middle of a number")
     return counts
-
-
-def _polygons(polygons: list, height: int, width: int, what: str) -> list[np.ndarray]:
-    checked = []
-    for polygon in polygons:
-        if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
-            raise InputError(f"{what}: a polygon is a list of at least three x, y")
-        points = numbers(polygon, what).reshape(-1, 2)
-        # COCO's own polygons reach a pixel beyond the border here and there.
-        if points.min() < -2 or (points.max(axis=0) > (width + 2, height + 2)).any():
-            raise InputError(f"{what}: a polygon lies outside the photograph ({width} x {height})")
-        checked.append(points)
-    return checked
 
 
 def numbers(values: object, what: str) -> np.ndarray:

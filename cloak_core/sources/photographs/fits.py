@@ -108,7 +108,7 @@ class _Shelf:
 
     def quality(self, person: Person) -> dict[str, float]:
         packed = self.packed(person)
-        return self(person).quality if packed is None else read_quality(packed)
+        return self(person).quality if packed is None else _quality(load(packed))
 
     def __call__(self, person: Person) -> Fit:
         # The same pixels under another name are another person's words, which views show.
@@ -202,15 +202,11 @@ def pack_fit(fit: Fit) -> bytes:
     return save(numbers | {name: np.ascontiguousarray(values, np.float64) for name, values in few.items()})
 
 
-def read_quality(data: bytes) -> dict[str, float]:
-    """Read how well a packed fit fits, and nothing else of it."""
-    return _quality(load(data))
-
-
 def unpack_fit(data: bytes, person: Person) -> Fit:
     """Unpack a person's fit."""
     stored = load(data)
-    pixels, lenders = (_from_bits(stored[name], person.shape) for name in ("dressed", "lends"))
+    bits = (np.frombuffer(zlib.decompress(stored[name]), np.uint8) for name in ("dressed", "lends"))
+    pixels, lenders = (np.flatnonzero(np.unpackbits(each, count=person.shape[0] * person.shape[1])) for each in bits)
     row, count, main, triangle, share, shading = (
         _unsqueezed(stored[name]) for name in ("row", "count", "main", "triangle", "share", "shading")
     )
@@ -242,10 +238,6 @@ def _bits(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     chosen = np.zeros(shape[0] * shape[1], bool)
     chosen[pixels] = True
     return np.frombuffer(zlib.compress(np.packbits(chosen).tobytes(), 1), np.uint8)
-
-
-def _from_bits(data: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    return np.flatnonzero(np.unpackbits(np.frombuffer(zlib.decompress(data), np.uint8), count=shape[0] * shape[1]))
 
 
 def _squeezed(values: np.ndarray) -> np.ndarray:

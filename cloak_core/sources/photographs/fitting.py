@@ -76,7 +76,25 @@ class Fit:
     @cached_property
     def rest(self) -> Float[np.ndarray, "P 3"]:
         """The point of the body at rest that each pixel shows, metres; beyond the body, moved on as the pixel is."""
-        return _at_rest(self.posed, body_rig(), self.person.shape[1], self.pixels, self.lender, self.main)
+        rig, width = body_rig(), self.person.shape[1]
+        x, y = self.lender % width + 0.5, -(self.lender // width + 0.5)
+        corners = self.posed.vertices(rig)[rig.triangles[self.main]]
+        (ax, ay), (bx, by), (cx, cy) = (corners[:, k, :2].T for k in range(3))
+        # Barycentric coordinates of the pixel in its triangle, by areas; projection is affine: they hold at rest, too.
+        twice = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        safe = np.where(np.abs(twice) < 1e-9, 1e-9, twice)
+        b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / safe
+        c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / safe
+        # The main triangle need not hold the pixel's centre: its nearest corner or edge stands in.
+        weights = np.clip(np.stack([1 - b - c, b, c], axis=1), 0, 1)
+        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+        rest = np.einsum("pk,pkd->pd", weights, rig.vertices[rig.triangles[self.main]])
+        right, down = self.pixels % width - self.lender % width, self.pixels // width - self.lender // width
+        # Towards the viewer's right is the body's left from the front, its right from behind.
+        facing = np.sign(self.posed.transforms[SEGMENTS.index("chest"), 2, 2]) or 1.0
+        rest[:, 0] += right / self.posed.scale * facing
+        rest[:, 1] -= down / self.posed.scale
+        return rest
 
     @cached_property
     def on_cloth(self) -> Float32[np.ndarray, "2 P"]:
@@ -226,30 +244,6 @@ def _drawn_out(
 def entries_of_rows(start: Int64[np.ndarray, " R"], counts: Int64[np.ndarray, " R"]) -> Int64[np.ndarray, " E"]:
     """List the entries of rows of a sparse matrix, each from `start` on, `counts` of them."""
     return np.repeat(start - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
-
-
-def _at_rest(
-    posed: Posed, rig: Rig, width: int, pixels: np.ndarray, source: np.ndarray, triangle: np.ndarray
-) -> Float[np.ndarray, "P 3"]:
-    """Points of the rest body under the centres of the lending pixels, moved on to the pixels that borrow."""
-    x, y = source % width + 0.5, -(source // width + 0.5)
-    corners = posed.vertices(rig)[rig.triangles[triangle]]
-    (ax, ay), (bx, by), (cx, cy) = (corners[:, k, :2].T for k in range(3))
-    # Barycentric coordinates of the pixel in its triangle, by areas; projection is affine, so they hold at rest, too.
-    twice = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    safe = np.where(np.abs(twice) < 1e-9, 1e-9, twice)
-    b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / safe
-    c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / safe
-    # The main triangle need not hold the pixel's centre: its nearest corner or edge stands in.
-    weights = np.clip(np.stack([1 - b - c, b, c], axis=1), 0, 1)
-    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-    rest = np.einsum("pk,pkd->pd", weights, rig.vertices[rig.triangles[triangle]])
-    moved = np.stack([pixels % width - source % width, source // width - pixels // width], axis=1) / posed.scale
-    # Towards the viewer's right is the body's left from the front, its right from behind.
-    facing = np.sign(posed.transforms[1, 2, 2])
-    rest[:, 0] += moved[:, 0] * (facing or 1.0)
-    rest[:, 1] += moved[:, 1]
-    return rest
 
 
 def _largest(crow: np.ndarray, share: np.ndarray) -> np.ndarray:

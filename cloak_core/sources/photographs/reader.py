@@ -125,7 +125,10 @@ class Reader:
         return place
 
     def _read(self, entry: Entry, chosen: list[tuple[Dressable, str]]) -> list[tuple[str, str, Person]]:
-        """Read a photograph's people: what each is called, what the file says of her, and herself."""
+        """Read a photograph's people: what each is called, what the file says of her, and herself.
+
+        InputError: the photograph has another size than the file says.
+        """
         path = self._place(entry)
         stamp = file_stamp(path)
         data = read_bytes(path, MAX_FILE_BYTES)
@@ -145,7 +148,13 @@ class Reader:
             self._known.put(name, json.dumps(record).encode())
         else:
             record = parse_json(kept.tobytes(), "cached identities")
-        _check_size(entry.image, record, self._what(entry))
+        width, height = record["size"]
+        listed = (entry.image.get("width", width), entry.image.get("height", height))
+        if listed != (width, height):
+            is_turned = record["turned"] and listed == (height, width)
+            hint = " (its EXIF record turns it: annotate the upright picture)" if is_turned else ""
+            words = f"{width} x {height} pixels, annotated as {listed[0]} x {listed[1]}{hint}"
+            raise InputError(f"{self._what(entry)}: {words}")
         known = {"photograph": entry.image["file_name"], "licence": entry.licence}
         known |= {"pixels": record["pixels"], "look": record["look"]}
         return [
@@ -159,16 +168,6 @@ def _content(person: Person) -> str:
     crop, (boxes, *landmarks) = person.crop, person.numbers
     mask = np.frombuffer(crop.packed, np.uint8)
     return sha256_arrays(mask, np.array(crop.region), np.array(crop.shape), boxes, *landmarks)
-
-
-def _check_size(image: dict, record: dict, what: str) -> None:
-    """Check that a photograph has the size that the file tells. InputError: it has another."""
-    width, height = record["size"]
-    listed = (image.get("width", width), image.get("height", height))
-    if listed != (width, height):
-        is_turned = record["turned"] and listed == (height, width)
-        hint = " (its EXIF record turns it: annotate the upright picture)" if is_turned else ""
-        raise InputError(f"{what}: {width} x {height} pixels, annotated as {listed[0]} x {listed[1]}{hint}")
 
 
 def _cropped(somebody: Dressable, path: Path, stamp: tuple[int, int]) -> Person:

@@ -62,14 +62,18 @@ class Rig:
 def body_rig() -> Rig:
     """The rig: the mean of the embedded people at rest. Its vertices and quads are numbered as the sample bodies'."""
     data, (samples, _) = read_npz(DATA), load_samples()
-    order = _stored_order(data, samples.vertex_count)
+    # The stored skin vertices are in another order than those of the sample bodies.
+    owned, bare = data["quads"].astype(np.int64), int(data["skin_vertices"])
+    stored = np.where(owned < bare, owned, data["cut_from"].astype(np.int64)[np.maximum(owned - bare, 0)])
+    quads = samples.loop_vertices.reshape(-1, 4).astype(np.int64)
+    order = np.full(samples.vertex_count, -1)
+    order[quads[data["source_face"]]] = stored
     steps = np.cumsum(data["rest_steps"], axis=1, dtype=np.uint16)
     rests = data["rest_origin"][:, None] + steps * data["rest_step"][:, None].astype(np.float64)
     weights = np.zeros((rests.shape[1], len(SEGMENTS)))
     bone = np.repeat(np.arange(len(data["weight_count"])), data["weight_count"])
     np.add.at(weights, (data["weight_vertex"].astype(int), _segment_of_bone()[bone]), data["weight"] / 65535)
     weights /= weights.sum(axis=1, keepdims=True)
-    quads = samples.loop_vertices.reshape(-1, 4).astype(np.int64)
     second = np.unpackbits(read_npz(DIAGONALS)["second"], count=len(quads)).astype(bool)
     halves = np.where(second[:, None], quads[:, [0, 1, 3, 3, 1, 2]], quads[:, [0, 1, 2, 2, 3, 0]])
     rest = rests.mean(axis=0)
@@ -144,13 +148,3 @@ def _joints(data: dict[str, np.ndarray], rest: np.ndarray, weights: np.ndarray) 
             pair = (one if one in NUMBER else f"{side}_{one}", f"{side}_{other}")
             joints[f"{side}_{joint}"] = shared(bone - 1, bone, pair)
     return joints
-
-
-def _stored_order(data: dict[str, np.ndarray], count: int) -> Int64[np.ndarray, " V"]:
-    """For each vertex of the sample bodies its place among the stored skin vertices, which are in another order."""
-    samples, _ = load_samples()
-    quads, bare = data["quads"].astype(np.int64), int(data["skin_vertices"])
-    stored = np.where(quads < bare, quads, data["cut_from"].astype(np.int64)[np.maximum(quads - bare, 0)])
-    order = np.full(count, -1)
-    order[samples.loop_vertices.reshape(-1, 4)[data["source_face"]]] = stored
-    return order

@@ -110,7 +110,10 @@ class PeopleSource:
             return photograph_view(*place, framing_of(fit, self.context, self.size), device=self.works_on)
         random = np.random.default_rng([seed, person])
         framing = draw_framing(random, fit, self.size)
-        jitter = draw_jitter(random)
+        # What the fit may have got wrong.
+        move, stretch = random.uniform(-LOOSE, LOOSE, 2), 1 + random.uniform(-2 * LOOSE, 2 * LOOSE, 2)
+        folds, exposure = 1 + random.uniform(-2 * LIGHT, 2 * LIGHT), 1 + random.uniform(-LIGHT, LIGHT / 2)
+        jitter = FitJitter(tuple(move.tolist()), tuple(stretch.tolist()), max(folds, 0.0), exposure)
         view = photograph_view(*place, framing, jitter, self.works_on)
         return replace(view, stream=(seed, person, _CLOTH))
 
@@ -137,10 +140,3 @@ def draw_framing(random: np.random.Generator, fit: Fit, size: int) -> Framing:
         return (low + high - side) / 2 + move * min(free, 0.5 * side)
 
     return Framing(*square_at(fit, start(x0, x1, away[0]), start(y0, y1, away[1]), side), side, size, mirror, softness)
-
-
-def draw_jitter(random: np.random.Generator) -> FitJitter:
-    """Draw what the fit may have got wrong."""
-    move, stretch = random.uniform(-LOOSE, LOOSE, 2), 1 + random.uniform(-2 * LOOSE, 2 * LOOSE, 2)
-    folds, exposure = 1 + random.uniform(-2 * LIGHT, 2 * LIGHT), 1 + random.uniform(-LIGHT, LIGHT / 2)
-    return FitJitter(tuple(move.tolist()), tuple(stretch.tolist()), max(folds, 0.0), exposure)

@@ -93,7 +93,16 @@ def shares_of(fit: Fit, position: Int64[np.ndarray, " T"], count: int, jitter: F
     """Lay a logo onto a fit: its pixels x the logo's `count` faces, each entry the face's share of the pixel."""
     crow, triangle, share = fit.crow, fit.triangle, fit.share
     if jitter.move != (0.0, 0.0) or jitter.stretch != (1.0, 1.0):
-        rows = _moved_rows(fit, jitter)
+        (height, width), (x0, y0, x1, y1) = fit.person.shape, fit.person.box
+        x, y = fit.pixels % width, fit.pixels // width
+        from_x = (x0 + x1) / 2 + (x - (x0 + x1) / 2) / jitter.stretch[0] - jitter.move[0] * (y1 - y0)
+        from_y = (y0 + y1) / 2 + (y - (y0 + y1) / 2) / jitter.stretch[1] - jitter.move[1] * (y1 - y0)
+        column, row = np.clip(np.rint(from_x), 0, width - 1), np.clip(np.rint(from_y), 0, height - 1)
+        number = np.full(height * width, -1)
+        number[fit.pixels] = np.arange(len(fit.pixels))
+        rows = number[row.astype(int) * width + column.astype(int)]
+        # Where the move leads off the person a pixel keeps its own faces.
+        rows = np.where(rows >= 0, rows, np.arange(len(rows)))
         counts = np.diff(crow)[rows]
         entry = entries_of_rows(crow[rows], counts)
         crow, triangle, share = np.concatenate([[0], np.cumsum(counts)]), triangle[entry], share[entry]
@@ -191,17 +200,3 @@ def photograph_view(
         kernels=(down, across),
     )
     return view.to(torch.device(device))
-
-
-def _moved_rows(fit: Fit, jitter: FitJitter) -> np.ndarray:
-    """For each row of the fit the row whose faces it shows: its own where the move leads off the person."""
-    height, width = fit.person.shape
-    x0, y0, x1, y1 = fit.person.box
-    x, y = fit.pixels % width, fit.pixels // width
-    from_x = (x0 + x1) / 2 + (x - (x0 + x1) / 2) / jitter.stretch[0] - jitter.move[0] * (y1 - y0)
-    from_y = (y0 + y1) / 2 + (y - (y0 + y1) / 2) / jitter.stretch[1] - jitter.move[1] * (y1 - y0)
-    column, row = np.clip(np.rint(from_x), 0, width - 1), np.clip(np.rint(from_y), 0, height - 1)
-    number = np.full(height * width, -1)
-    number[fit.pixels] = np.arange(len(fit.pixels))
-    at = number[row.astype(int) * width + column.astype(int)]
-    return np.where(at >= 0, at, np.arange(len(fit.pixels)))

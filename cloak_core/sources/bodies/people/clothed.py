@@ -58,6 +58,8 @@ def _clothed(split: str, tight: bool) -> Bodies:
     source = data["source_face"].astype(np.int64)
     chosen = [c for c, unseen in enumerate(data["clip_unseen"]) if split in ("all", ("train", "unseen")[int(unseen)])]
     loop_total = np.full(len(quads), 4, np.int32)
+    regions = {name: owner == number for number, name in enumerate(OBJECTS)}
+    regions |= {name: samples.regions[name][source] & regions[on] for on, names in LIES_ON.items() for name in names}
     # As the first pose of all has it, whichever poses are asked for.
     corners, triangle_face = triangulate(_poses(data, 0, tight=True)[0], loop_total, quads.reshape(-1))
     return Bodies(
@@ -65,7 +67,7 @@ def _clothed(split: str, tight: bool) -> Bodies:
         triangles=quads.reshape(-1)[corners],
         triangle_face=triangle_face,
         face_colors=_outfits(samples, owner, source),
-        regions=_regions(samples, owner, source),
+        regions=regions | {"front": samples.regions["front"][source]},
         names=tuple(f"{data['clip_names'][c]}-{frame:02}" for c in chosen for frame in range(data["clip_frames"][c])),
         loop_total=loop_total,
         loop_vertices=quads.reshape(-1),
@@ -135,10 +137,3 @@ def _outfits(samples: Bodies, owner: np.ndarray, source: np.ndarray) -> np.ndarr
     clothing = samples.regions["shirt"] | samples.regions["trousers"]
     worn[(owner == 0) & clothing[source]] = first["hands"]
     return samples.face_colors[:, worn]
-
-
-def _regions(samples: Bodies, owner: np.ndarray, source: np.ndarray) -> dict[str, np.ndarray]:
-    regions_of_source = {name: mask[source] for name, mask in samples.regions.items()}
-    regions = {name: owner == number for number, name in enumerate(OBJECTS)}
-    regions |= {name: regions_of_source[name] & regions[worn] for worn, names in LIES_ON.items() for name in names}
-    return regions | {"front": regions_of_source["front"]}
