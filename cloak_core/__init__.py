@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from cloak_core.detectors.objects import as_detector
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
-    from cloak_core.library import evaluate, film, train, wear
+    from cloak_core.library.evaluation import evaluate
+    from cloak_core.library.filming import film
+    from cloak_core.library.training import train
+    from cloak_core.library.wearing import wear
     from cloak_core.products.printing import print_logo
     from cloak_core.products.run_report import make_report
     from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
@@ -71,8 +74,8 @@ _PLACES = {
     "SuccessMetric": "detectors.maite:SuccessMetric",
     "TrainSettings": "core.settings:TrainSettings",
     "as_detector": "detectors.objects:as_detector",
-    "evaluate": "library:evaluate",
-    "film": "library:film",
+    "evaluate": "library.evaluation:evaluate",
+    "film": "library.filming:film",
     "load_backgrounds": "sources.backdrops.backgrounds:load_backgrounds",
     "load_detector": "detectors.loading:load_detector",
     "load_logo": "core.logo:load_logo",
@@ -82,8 +85,8 @@ _PLACES = {
     "make_report": "products.run_report:make_report",
     "make_settings": "core.settings:make_settings",
     "print_logo": "products.printing:print_logo",
-    "train": "library:train",
-    "wear": "library:wear",
+    "train": "library.training:train",
+    "wear": "library.wearing:wear",
 }
 """Public name -> MODULE:NAME."""
 

@@ -26,9 +26,10 @@ gc.disable()
 # What tests decode stays out of the user's cache.
 os.environ["CLOAK_CACHE"] = "off"
 
-# Every room but the commands: tyro fills required options with a marker before the user's words replace it.
-ROOMS = sorted({path.parent.name for path in Path(cloak_core.__file__).parent.glob("*/__init__.py")} - {"commands"})
-check_rooms([f"cloak_core.{room}" for room in ROOMS])
+# Every room but two. Commands: tyro fills required options with a marker before the user's words replace it. Library:
+# it says in words what is wrong with what a program gives it.
+ROOMS = {path.parent.name for path in Path(cloak_core.__file__).parent.glob("*/__init__.py")} - {"commands", "library"}
+check_rooms([f"cloak_core.{room}" for room in sorted(ROOMS)])
 
 
 @pytest.fixture(scope="session")

@@ -47,7 +47,7 @@ class Evaluate(OnUnseen, Photographed, Watched):
     )
 
     def run(self) -> dict:
-        from cloak_core.library import evaluate
+        from cloak_core.library.evaluation import evaluate
         from cloak_core.studies.trained_run import trained_specs
 
         self.prepare()

@@ -43,7 +43,7 @@ class Film(OnUnseen, Watched):
         self.prepare()
         require_new(self.out)
         check_film(self.out)
-        from cloak_core.library import film
+        from cloak_core.library.filming import film
         from cloak_core.studies.trained_run import trained_specs
 
         folder, config = self.opened()

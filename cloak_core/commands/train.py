@@ -120,7 +120,7 @@ class Train(Photographed, Detecting):
         return TrainSettings(preset=self.preset, run=self.length, **parts)
 
     def run(self) -> dict:
-        from cloak_core.library import train
+        from cloak_core.library.training import train
 
         _ = self.settings  # checked before anything is done
         if self.extend is not None:

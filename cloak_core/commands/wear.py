@@ -53,7 +53,7 @@ class Wear(Detecting):
             raise InputError("--detector: none given")
         if self.out is not None:
             require_new(self.out)
-        from cloak_core.library import wear
+        from cloak_core.library.wearing import wear
 
         detectors, choosers = self.by_spec(self.detector), self.by_spec(self.width_detector)
         with counted("dressing") as tell:

@@ -79,7 +79,7 @@ def test_auto_is_the_default_and_a_run_goes_on_where_it_began(tmp_path, monkeypa
     FakeCuda(monkeypatch, True, True)
     asked = []
     monkeypatch.setattr("cloak_core.commands.options.prepare_process", lambda compute: asked.append(compute.device))
-    monkeypatch.setattr("cloak_core.library.train", lambda *given, **more: pytest.fail("far enough"))
+    monkeypatch.setattr("cloak_core.library.training.train", lambda *given, **more: pytest.fail("far enough"))
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "config.json").write_text(json.dumps({"environment": {"device": "cpu"}}))
     words = ["--logo", "chest", "--detector", "nobodys:thing", "--out"]
@@ -91,7 +91,7 @@ def test_auto_is_the_default_and_a_run_goes_on_where_it_began(tmp_path, monkeypa
 
 def test_training_needs_no_scene(tmp_path, monkeypatch):
     given = []
-    monkeypatch.setattr("cloak_core.library.train", lambda scene, *others, **more: given.append(scene) or None)
+    monkeypatch.setattr("cloak_core.library.training.train", lambda scene, *others, **more: given.append(scene) or None)
     for more in ([], ["--scene", "sample:unseen"]):
         with pytest.raises(AttributeError):  # of the result, which the fake has not
             parse("train", ["--logo", "chest", "--out", str(tmp_path / "new"), *more]).run()

@@ -169,7 +169,7 @@ def test_little_memory_is_one_line(module: str, line: str, left: int, tmp_path: 
         small = "--steps 1 --batch 1 --size 96 --translation 4"
         with pytest.raises(SystemExit, match="0"):
             cli.main(f"{line.format(out=tmp_path / 'warm')} {small}".split())
-    script = LIMITED.format(module=module, left=left, warm="import torch, cloak_core.library")
+    script = LIMITED.format(module=module, left=left, warm="import torch, cloak_core.library.training")
     command = [sys.executable, "-c", script, *line.format(out=tmp_path / "out").split()]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)

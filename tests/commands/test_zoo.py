@@ -8,7 +8,7 @@ import torch
 import trimesh
 from PIL import Image
 
-from cloak_core import library
+import cloak_core
 from cloak_core.cli import main
 from cloak_core.core.logo import load_logo, make_logo
 from cloak_core.core.run_folder import RunFolder
@@ -160,11 +160,11 @@ def test_other_colours_are_judged_beside_the_runs_own(tmp_path):
     how |= {"size": 96, "shift": 5, "samples": 1, "controls": ("grey",), "resamples": 100}
     for step in (20, 10):
         RunFolder(folder).write_snapshot(step, grey)
-    own = library.evaluate(folder, bodies, over_time=True, **how)
+    own = cloak_core.evaluate(folder, bodies, over_time=True, **how)
     assert [row["step"] for row in own["over_time"]] == [10, 20] and (folder / "curve.png").stat().st_size > 1000
     snapshot = own["over_time"][0]["detectors"]["builtin"]
     assert snapshot["success"] == own["detectors"]["builtin"]["grey"]["success"]
-    other = library.evaluate(folder, bodies, colors=tmp_path / "plain.npy", **how)
+    other = cloak_core.evaluate(folder, bodies, colors=tmp_path / "plain.npy", **how)
     assert own["white_box"] == {"builtin": True} and other["white_box"] == {"builtin": None}
     rates = other["detectors"]["builtin"]
     assert rates["logo"]["mean_score"] == pytest.approx(rates["grey"]["mean_score"], abs=1e-6)
@@ -172,7 +172,7 @@ def test_other_colours_are_judged_beside_the_runs_own(tmp_path):
     assert (folder / "evaluation").exists() and (folder / "evaluation-plain").exists()
     # A printer that knows grey alone.
     write_profile(tmp_path / "p.npz", Profile(np.full((2, 2, 2, 3), 0.5, np.float32)))
-    rates = library.evaluate(folder, bodies, profile=tmp_path / "p.npz", **how)["detectors"]["builtin"]
+    rates = cloak_core.evaluate(folder, bodies, profile=tmp_path / "p.npz", **how)["detectors"]["builtin"]
     assert rates["logo"]["mean_score"] == pytest.approx(rates["grey"]["mean_score"], abs=1e-6)
     assert (folder / "evaluation-printed").exists()
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core import evaluate, film, wear
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.settings import FilmSettings, WearSettings
 from cloak_core.core.logo import Cover
 from cloak_core.files.errors import InputError
-from cloak_core.library import evaluate, film, wear
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.sources.bodies.people.clothed import clothed_bodies
 from cloak_core.sources.bodies.people.samples import sample_bodies

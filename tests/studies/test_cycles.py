@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core import evaluate
 from cloak_core.core.evaluate import Patterns
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import make_logo, select_region
 from cloak_core.files.errors import InputError
-from cloak_core.library import evaluate
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cloak_core import evaluate, train
 from cloak_core.core.run_folder import RunFolder
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
-from cloak_core.library import evaluate, train
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.crowd import Crowd

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core import library
+import cloak_core
 from cloak_core.cli import main
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
@@ -74,9 +74,9 @@ def test_a_run_folder_runs_no_code(evil, words: list[str], before: str, tmp_path
 def test_nor_does_the_library(evil, tmp_path: Path) -> None:
     run, _ = evil
     for asked in (
-        lambda: library.evaluate(run),
-        lambda: library.film(run, tmp_path / "film"),
-        lambda: library.evaluate(run, people=tmp_path / "people.json"),
+        lambda: cloak_core.evaluate(run),
+        lambda: cloak_core.film(run, tmp_path / "film"),
+        lambda: cloak_core.evaluate(run, people=tmp_path / "people.json"),
     ):
         with pytest.raises(InputError, match="which runs code: only where you name it"):
             asked()
@@ -111,7 +111,7 @@ def test_zoo_entries_and_grids_run_code_only_where_it_is_named(evil, tmp_path: P
 
 def test_a_run_whose_detector_is_not_here_says_how_to_name_it() -> None:
     with pytest.raises(InputError, match=r"trained against onnx:yolov8n\.onnx.* is not here: name your copy"):
-        library.evaluate("zoo:yolov8n-anny", "sample:unseen[0:1]", "procedural:test:1")
+        cloak_core.evaluate("zoo:yolov8n-anny", "sample:unseen[0:1]", "procedural:test:1")
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_model_s_name_in_a_run_asks_nobody(evil, monkeypatch) -> None:
     config["detectors"][0]["spec"] = "transformers:some/model"
     (run / "config.json").write_text(json.dumps(config))
     with pytest.raises(InputError, match="which asks the network: only where you name it"):
-        library.evaluate(run)
+        cloak_core.evaluate(run)
     with pytest.raises(InputError, match="not in the local cache"):
         load_detector("transformers:some/model")
     assert not asked

@@ -9,12 +9,12 @@ import pytest
 import torch
 from PIL import Image
 
+from cloak_core import wear
 from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.linear import SparseMap
 from cloak_core.files.errors import InputError
-from cloak_core.library import wear
 from cloak_core.sources.photographs.fits import Fits, fit_people
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.source import PeopleSource

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cloak_core import wear
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.files.errors import InputError
-from cloak_core.library import wear
 from cloak_core.sources.photographs import reader
 from cloak_core.sources.photographs.annotation import draw_mask, read_mask
 from cloak_core.sources.photographs.fits import fit_people, fits_well, those_who_fit

@@ -1,0 +1,59 @@
+"""What the library's functions take, as it is or by name: bodies, backgrounds, people, detectors, settings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, TypeVar
+
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.source import NOBODY, Cast
+from cloak_core.detectors.naming import full_spec
+from cloak_core.detectors.objects import Given, as_detector, as_detectors
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+
+if TYPE_CHECKING:
+    from cloak_core.sources.photographs.people import People
+
+T = TypeVar("T")
+Named = str | os.PathLike
+"""What the command line takes: a path, or a spec such as sample:train."""
+
+
+def open_bodies(scene: Bodies | Named) -> Bodies:
+    """Take bodies, or load them by name. InputError."""
+    return scene if isinstance(scene, Bodies) else load_scene(scene)
+
+
+def open_backgrounds(backgrounds: Backgrounds | Named) -> Backgrounds:
+    """Take backgrounds, or load them by name. InputError."""
+    return backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds)
+
+
+def cast_of(people: People | Named | None, images: Named | None = None) -> Cast:
+    """Make what shows people in photographs: loaded ones, or those of a COCO file; None: nobody. InputError."""
+    if people is None:
+        return NOBODY
+    # Whoever shows bodies alone needs nothing of photographs.
+    from cloak_core.sources.photographs.crowd import Crowd
+    from cloak_core.sources.photographs.people import load_people
+
+    return Crowd(load_people(people, images) if isinstance(people, Named) else people)
+
+
+def by_name(detectors: Mapping[str, Given] | Given | Sequence[Given], device: str) -> dict[str, Detector]:
+    """Make detectors of what is given, by the names in a mapping, else by their specs."""
+    if isinstance(detectors, Mapping):
+        return {name: as_detector(given, device) for name, given in detectors.items()}
+    given = detectors if isinstance(detectors, (list, tuple)) else [detectors]
+    made = as_detectors(given, device)
+    return {full_spec(one) if isinstance(one, str) else d.spec: d for one, d in zip(given, made, strict=True)}
+
+
+def made_settings(settings: T | None, changes: dict, make: Callable[..., T]) -> T:
+    """Take the settings, or make them by the changes. TypeError: both are given."""
+    if settings is not None and changes:
+        raise TypeError(f"settings are given: change {', '.join(changes)} there")
+    return make(**changes) if settings is None else settings
