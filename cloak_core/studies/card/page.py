@@ -21,11 +21,11 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text, written
-from cloak_core.studies.card import words
+from cloak_core.studies.card import plots, words
 from cloak_core.studies.card.protocol import VERSION, Part, part_of_area
 from cloak_core.studies.card.words import name_of, others_strongest, shown, strongest
 from cloak_core.studies.imagery import flat_views
-from cloak_core.studies.report import page, plots
+from cloak_core.studies.report import page
 from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
 from cloak_core.studies.report.words import interval, markdown, percent
 from cloak_core.studies.store import RunStore
