@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import importlib
 from pathlib import Path
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.people.anny import drawn_bodies
-from cloak_core.sources.bodies.people.clothed import clothed_bodies
-from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.selection import select, split_selection
 
-SCENES: dict[str, Callable[..., Bodies]] = {
-    "sample": sample_bodies,
-    "sample-clothed": clothed_bodies,
-    "sample-tight": partial(clothed_bodies, tight=True),
-    "anny": drawn_bodies,
+SCENES = {
+    "sample": "samples:sample_bodies",
+    "sample-clothed": "clothed:clothed_bodies",
+    "sample-tight": "clothed:tight_bodies",
+    "anny": "anny:drawn_bodies",
 }
-"""Bodies that are opened by name, from what follows the colon where something does."""
+"""Bodies that are opened by name: MODULE:FUNCTION below `people`, imported when they are asked for, called with what
+follows the colon where something does."""
 
 
 def load_scene(spec: str | Path) -> Bodies:
@@ -34,7 +31,9 @@ def load_scene(spec: str | Path) -> Bodies:
     whole, selection = split_selection(str(spec))
     name, _, rest = whole.partition(":")
     if name in SCENES:
-        bodies = SCENES[name](*[rest] if rest else [])
+        module, _, function = SCENES[name].partition(":")
+        make = getattr(importlib.import_module(f"cloak_core.sources.bodies.people.{module}"), function)
+        bodies = make(*[rest] if rest else [])
     elif Path(whole).suffix.lower() == ".json":
         raise InputError(f"--scene {whole}: no scene of bodies; people in photographs are --people {whole}")
     else:

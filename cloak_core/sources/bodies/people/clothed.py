@@ -8,7 +8,7 @@ machine.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +48,9 @@ def clothed_bodies(split: str = "all", tight: bool = False) -> Bodies:
     if split not in ("all", "train", "unseen"):
         raise InputError(f"scene '{name}:{split}': the clothed people come as {name}, {name}:train and {name}:unseen")
     return _clothed(split, tight)
+
+
+tight_bodies = partial(clothed_bodies, tight=True)
 
 
 @lru_cache(maxsize=4)
