@@ -15,7 +15,7 @@ from cloak_core.commands.options import Computing, Splitting
 from cloak_core.commands.progress import announce, shown_progress
 from cloak_core.commands.sharing import Sharing
 from cloak_core.core.evaluation.settings import Internal
-from cloak_core.experiments.options import Options, names
+from cloak_core.experiments.options import EXPERIMENTS, Options
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Reproduce(Splitting, Computing, Sharing):
 
     example = "table1 --quick --out runs/reproduce"
 
-    name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")] = ""
+    name: Annotated[Positional[str], arg(help=f"{', '.join(EXPERIMENTS)} (render-gap needs Blender), or all.")] = ""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """(default: builtin)"""
     list: bool = False
@@ -70,8 +70,7 @@ class Reproduce(Splitting, Computing, Sharing):
     @staticmethod
     def _planned_rows(name: str, store: RunStore, are_needed: bool = False) -> list[dict]:
         """List the rows of an experiment; none where it has none. InputError: some `are_needed`."""
-        from cloak_core.experiments.plan import plan
-        from cloak_core.experiments.runner import find
+        from cloak_core.experiments.runner import find, plan
 
         try:
             return [vars(row) for row in plan(find(name), store)]
@@ -82,8 +81,7 @@ class Reproduce(Splitting, Computing, Sharing):
 
     def _rows(self) -> dict:
         """Make the chosen rows of one experiment, for `reproduce` without --only to find."""
-        from cloak_core.experiments.plan import chosen, paper_rows
-        from cloak_core.experiments.runner import find, measure_rows
+        from cloak_core.experiments.runner import chosen, find, measure_rows, paper_rows
 
         if self.name == "all":
             raise InputError("--only: names rows of one experiment, not of all")
@@ -190,14 +188,14 @@ class Reproduce(Splitting, Computing, Sharing):
             out.print(f"wrote {path}")
 
     def following(self, result: dict) -> tuple[str, ...]:
-        ordered = names()
+        ordered = tuple(EXPERIMENTS)
         later = ordered[ordered.index(self.name) + 1 :] if self.name in ordered else []
         return ("reproduce", later[0], "--list") if later and not self.list else ()
 
 
 def show_rows(title: str, rows: Rows) -> None:
     """Show the rows of an experiment beside each other, with a line for each of their columns."""
-    from cloak_core.experiments.tables import readable
+    from cloak_core.experiments.publish import readable
 
     told = readable(rows)
     if rows:

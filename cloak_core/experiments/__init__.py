@@ -1,5 +1,5 @@
 """The paper's tables and figures, and experiments of our own, as declarations over `studies`.
 
-A module of `declared` is one experiment: what is trained, what judges, what is plotted, what the paper has. Its being
-there registers it. `runner` measures, draws and publishes; nothing but commands imports this room.
+Each of `declared` says what is trained, what judges, what is plotted, what the paper has; `options.EXPERIMENTS` lists
+them. `runner` measures and draws, `publish` makes the page and the records; nothing but commands imports this room.
 """

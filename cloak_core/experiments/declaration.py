@@ -8,13 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from matplotlib.figure import Figure
 from PIL import Image
 
+from cloak_core.core.evaluation.controls import CLOTHING
 from cloak_core.core.evaluation.results import Results
+from cloak_core.core.evaluation.statistics import THRESHOLDS
 from cloak_core.core.pattern import Pattern
-from cloak_core.experiments.charts import Matrix, Thresholds
 from cloak_core.experiments.logos import FaceIds
-from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows
+from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows, column, detector_names, group, select
+from cloak_core.studies.report.plots import heat_map
+from cloak_core.studies.report.style import SERIES
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.training_store import Trained
 
@@ -79,6 +84,41 @@ Cells = Iterator[Cell]
 Trainings = list[tuple[Cell, list[Trained]]]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Matrix:
+    """Success by what was trained on and what judges, as a heat map; controls in rows below."""
+
+    controls: Sequence[str] = ("random", CLOTHING)
+
+    def draw(self, rows: Rows, thresholds: Sequence = ()) -> Figure | None:
+        """Draw where several detectors were trained on."""
+        names = detector_names(rows)
+        by_source = group(rows, "trained_on")
+        if len(by_source) < 2:
+            return None
+        tested = next(iter(by_source.values()))  # controls wear nothing trained: alike under every source
+        shares = [column(of_source) for of_source in by_source.values()] + [column(tested, c) for c in self.controls]
+        heads = [names[spec] for spec in by_source]
+        below = [SERIES[control].label for control in self.controls]
+        figure = heat_map(np.array(shares), [*heads, *below], heads, rule=len(heads))
+        figure.axes[0].set(xlabel="tested on", ylabel="trained on")
+        return figure
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Success against the detection threshold, panels side by side: a line for each control."""
+
+    where: Mapping[str, object] = field(default_factory=dict)
+    panel: str = ""
+
+    def draw(self, rows: Rows, thresholds: Rows) -> Figure | None:
+        """Draw the curves of the rows of the table that are asked for."""
+        curves = select(thresholds, **self.where)
+        points = [row | {"threshold": t, "success": row[f"at_{t:g}"]} for row in curves for t in THRESHOLDS]
+        return Lines(x="threshold", series="control", panel=self.panel, interval="").draw(points)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Experiment:
     """One experiment: what is trained, what judges, what is plotted, what the paper has."""
@@ -98,8 +138,6 @@ class Experiment:
     """Instead of `cells`, for what these cannot say."""
     finish: Callable[[Rows], Rows] = lambda rows: rows
     """Add columns that compare rows."""
-    order: int = 100
-    """Place among the experiments of `all`."""
 
 
 def test_angles(store: RunStore) -> tuple[float, ...]:

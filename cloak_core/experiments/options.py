@@ -1,9 +1,8 @@
-"""The options of `cloak reproduce` and the names of the experiments, free of torch."""
+"""The options of `cloak reproduce`, and which experiments there are; free of torch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from tyro.conf import UseAppendAction
 
@@ -20,7 +19,20 @@ class Options(StoreOptions):
     """Of `hardened`: published patterns on shirt and trousers: FILE.png (0.25 m wide) or FILE.png@tile=METRES."""
 
 
-def names() -> tuple[str, ...]:
-    """List the experiments by name: the declared modules, with dashes."""
-    declared = Path(__file__).parent / "declared"
-    return tuple(sorted(path.stem.replace("_", "-") for path in declared.glob("[!_]*.py")))
+EXPERIMENTS = {
+    "table1": "paper:TABLE1",
+    "single-angle": "paper:SINGLE_ANGLE",
+    "wide-angle": "paper:WIDE_ANGLE",
+    "transfer": "paper:TRANSFER",
+    "tv": "paper:TV",
+    "distance": "paper:DISTANCE",
+    "shape": "paper:SHAPE",
+    "resolution": "paper:RESOLUTION",
+    "ablation": "attacks:ABLATION",
+    "render-gap": "render_gap:RENDER_GAP",
+    "white-box": "attacks:WHITE_BOX",
+    "closeness": "attacks:CLOSENESS",
+    "defences": "defences:DEFENCES",
+    "hardened": "defences:HARDENED",
+}
+"""MODULE:NAME of each below `declared`, in the order in which `all` runs them."""

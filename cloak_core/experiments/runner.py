@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from itertools import islice, product
@@ -19,12 +20,11 @@ from cloak_core.core.logo import area_share, chest_thighs
 from cloak_core.core.pictures import save_picture
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, Trainings, test_angles
-from cloak_core.experiments.options import names
-from cloak_core.experiments.plan import row_name
+from cloak_core.experiments.options import EXPERIMENTS
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
-from cloak_core.studies.pace import in_turn
+from cloak_core.studies.pace import Pace, in_turn, measured_pace
 from cloak_core.studies.report.charts import Rows
 from cloak_core.studies.report.style import save_figure, style
 from cloak_core.studies.store import RunStore
@@ -38,9 +38,9 @@ FORMAT = "cloak experiment 1"
 @cache
 def experiments() -> dict[str, Experiment]:
     """Load every declaration, by name, in the order in which `all` runs them."""
-    package = "cloak_core.experiments.declared."
-    declared = {name: import_module(package + name.replace("-", "_")).EXPERIMENT for name in names()}
-    return dict(sorted(declared.items(), key=lambda item: item[1].order))
+    places = {name: place.split(":") for name, place in EXPERIMENTS.items()}
+    package = "cloak_core.experiments.declared"
+    return {name: getattr(import_module(f"{package}.{module}"), word) for name, (module, word) in places.items()}
 
 
 def run_experiment(name: str, store: RunStore) -> dict:
@@ -96,6 +96,12 @@ def measure_part(experiment: Experiment, store: RunStore, part: int, of: int) ->
         return
     for _ in _measured(store, islice(experiment.cells(store), part, None, of)):
         pass
+
+
+def row_name(cell: Cell) -> str:
+    """Name a cell by what its rows are labelled with, and the detectors that it is trained against."""
+    label = [str(value) for value in cell.label.values()]
+    return ", ".join([*label, *cell.specs]) or "the only row"
 
 
 def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, list[Trained], Results]]:
@@ -216,3 +222,84 @@ def finished(out: Path) -> dict[str, dict]:
     if not drawn:
         raise InputError(f"{out}: holds no finished experiment")
     return drawn
+
+
+# --- what an experiment is going to do, before it does it
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One row of an experiment's table, before it is made."""
+
+    number: int
+    """From 1."""
+    name: str
+    updates: int
+    """Of the colours, over all repetitions."""
+    seconds: float
+    """About how long it takes, by the detector's measured pace."""
+
+
+def plan(experiment: Experiment, store: RunStore) -> list[Planned]:
+    """List an experiment's rows. InputError: it has none, for it measures in a way of its own."""
+    paces = {spec: measured_pace(detector, store.options.size) for spec, detector in store.split.detectors.items()}
+    return [_planned(number, cell, store, paces) for number, cell in enumerate(_cells(experiment, store), 1)]
+
+
+def chosen(experiment: Experiment, store: RunStore, only: Sequence[str]) -> list[Cell]:
+    """Choose rows by their numbers, or by words of their names. InputError: one names no row."""
+    cells = _cells(experiment, store)
+    names = [row_name(cell) for cell in cells]
+    found: dict[int, Cell] = {}
+    for asked in only:
+        numbers = [int(asked) - 1] if asked.isdigit() else [k for k, name in enumerate(names) if asked in name]
+        if not numbers or not 0 <= numbers[0] < len(cells):
+            rows = "; ".join(f"{k} {name}" for k, name in enumerate(names, 1))
+            raise InputError(f"--only {asked}: no such row ({rows})")
+        found |= {number: cells[number] for number in numbers}
+    return [found[number] for number in sorted(found)]
+
+
+def paper_rows(experiment: Experiment, rows: Rows) -> Rows:
+    """Select the paper's rows that any of these stand beside: they agree in all that both name but the detector."""
+    labels = [
+        {key: value for key, value in told.items() if key != "detector" and isinstance(value, str)}
+        for told in experiment.paper
+    ]
+    agrees = lambda label, row: all(row.get(key, value) in (value, "all") for key, value in label.items())
+    beside = [any(agrees(label, row) for row in rows) for label in labels]
+    return [dict(told) for told, stands in zip(experiment.paper, beside, strict=True) if stands]
+
+
+def _cells(experiment: Experiment, store: RunStore) -> list[Cell]:
+    if experiment.measure:
+        raise InputError(f"{experiment.title}: measures in a way of its own, without rows that could be chosen")
+    return list(experiment.cells(store))
+
+
+def _planned(number: int, cell: Cell, store: RunStore, paces: dict[str, Pace]) -> Planned:
+    specs = cell.specs or store.specs[:1]
+    judges = cell.judges or specs
+    updates = batch = 0
+    if cell.pattern is None:
+        changes = {key: value for key, value in cell.training.items() if key != "bodies"}
+        settings = store.train_settings(store.options.seed, specs, **changes)
+        updates = len(store.options.seed_list) * settings.total_steps(len(store.split.backgrounds))
+        batch = settings.run.batch
+    training = updates * batch * _total(paces, specs, "gradient")
+    images = _images(cell, store) * (len(store.options.seed_list) if updates else 1)
+    return Planned(number, row_name(cell), updates, training + images * _total(paces, judges, "forward"))
+
+
+def _images(cell: Cell, store: RunStore) -> int:
+    """Count the images that judge one training, under every control."""
+    changes = {key: value for key, value in cell.test.items() if key != "bodies"}
+    settings = store.evaluate_settings(**changes)
+    views = store.split.unseen.pose_count * len(cell.angles or test_angles(store)) * settings.images_per_view
+    return min(views, settings.most_images or views) * (1 + len(settings.controls))
+
+
+def _total(paces: dict[str, Pace], specs: Iterable[str], name: str) -> float:
+    # Detectors of a store of the cell's own were not timed: they count as the slowest.
+    slowest = max(getattr(pace, name) for pace in paces.values())
+    return sum(getattr(paces[spec], name) if spec in paces else slowest for spec in specs)

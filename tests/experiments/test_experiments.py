@@ -10,11 +10,11 @@ import pytest
 
 from cloak_core.cli import main
 from cloak_core.core.logo import area_share
+from cloak_core.experiments.declared.defences import beats_adaptive, longest_adaptive
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
-from cloak_core.experiments.options import names
+from cloak_core.experiments.options import EXPERIMENTS
 from cloak_core.experiments.publish import make_page, publish
 from cloak_core.experiments.runner import draw_again, experiments, measure, measure_part, run_experiment
-from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
 from cloak_core.studies import store, training_store
 from cloak_core.studies.store import DataSplit, RunStore
@@ -38,8 +38,8 @@ def finished(split: DataSplit, tmp_path_factory: pytest.TempPathFactory) -> tupl
     return out, run_experiment("transfer", RunStore(split, make_options(out)))
 
 
-def test_a_module_of_declarations_is_an_experiment() -> None:
-    assert set(experiments()) == set(names()) and tuple(name for name in experiments() if name in PAPER) == PAPER
+def test_every_experiment_is_declared_whole_the_papers_first() -> None:
+    assert tuple(experiments()) == tuple(EXPERIMENTS) and tuple(experiments())[: len(PAPER)] == PAPER
     for experiment in experiments().values():
         assert experiment.title and experiment.caption.endswith(".") and experiment.figures
 
@@ -123,7 +123,7 @@ def test_figures_come_from_the_numbers_alone(
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in names()]
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in EXPERIMENTS]
 )
 def test_every_experiment_runs(name: str, split: DataSplit, tmp_path_factory: pytest.TempPathFactory) -> None:
     out = tmp_path_factory.getbasetemp() / "experiments"  # one folder, so that they share as they do for users

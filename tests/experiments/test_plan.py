@@ -6,8 +6,7 @@ import pytest
 
 from cloak_core import cli
 from cloak_core.commands.reproduce import Reproduce
-from cloak_core.experiments.plan import paper_rows
-from cloak_core.experiments.runner import find
+from cloak_core.experiments.runner import find, paper_rows
 
 FEW = ["--quick", "--steps", "2", "--device", "cpu", "--threads", "1"]
 

@@ -1,1 +1,1 @@
-"""One module per experiment, each with an `EXPERIMENT`; the module's name is the experiment's, with dashes."""
+"""Declarations of experiments; `options.EXPERIMENTS` says which they are."""

@@ -78,7 +78,7 @@ def _sheet(sets: dict[str, ImageSet], patterns: Patterns) -> Image.Image:
     return picture.resize((1000, round(1000 * picture.height / picture.width)), Image.Resampling.LANCZOS)
 
 
-EXPERIMENT = Experiment(
+RENDER_GAP = Experiment(
     title="The gap between our renders and Cycles",
     caption="Chest + thighs, trained at five angles in our own renders. Each unseen body in its first outfit is "
     "rendered by Cycles (not denoised, view transform Standard) under three lights, and put before the same unseen "
@@ -89,5 +89,4 @@ EXPERIMENT = Experiment(
     "colours on the body.",
     measure=measure,
     figures={"gap": Bars(y="render", panel="detector", controls=(CLOTHING, "stripes"))},
-    order=10,
 )
