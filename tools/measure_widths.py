@@ -19,10 +19,10 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import write_json
-from cloak_core.library.given import cast_of
+from cloak_core.library.values import cast_of
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.opening import open_pattern
-from cloak_core.studies.wearing.widths import AUTO, WIDTHS, width_curve
+from cloak_core.studies.wearing.wearing import AUTO, WIDTHS, width_curve
 
 RATES = ("success", "success_own")
 

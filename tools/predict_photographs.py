@@ -24,7 +24,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
-from cloak_core.library.given import cast_of
+from cloak_core.library.values import cast_of
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.studies.evaluate import OnBodies, evaluate

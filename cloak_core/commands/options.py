@@ -177,7 +177,7 @@ class Photographed(Command):
 
     def cast(self) -> Cast:
         """Make what shows the people, nobody where none are named. InputError: they cannot be read."""
-        from cloak_core.library.given import cast_of
+        from cloak_core.library.values import cast_of
 
         return cast_of(self.people, self.images)
 

@@ -103,8 +103,8 @@ class Calibrate(Command):
     """Profile to write (.npz)."""
 
     def run(self) -> dict:
-        from cloak_core.products.calibration.chart import patch_colors, write_chart
-        from cloak_core.products.calibration.fitting import profile_of
+        from cloak_core.products.calibration import profile_of
+        from cloak_core.products.chart import patch_colors, write_chart
 
         if bool(self.measured) != (self.out is not None):
             raise InputError("--measured and --out: one needs the other")

@@ -15,10 +15,9 @@ from cloak_core.detectors.objects import Given
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError
-from cloak_core.library.given import Named, by_name, cast_of, made_settings, open_backgrounds, open_bodies
+from cloak_core.library.values import Figures, Named, by_name, cast_of, made_settings, open_backgrounds, open_bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies import evaluate as study
-from cloak_core.studies.figures import Figures
 from cloak_core.studies.opening import open_run, printed, snapshot_pattern
 from cloak_core.studies.trained_run import kept_back, read_run, trained_specs
 from cloak_core.zoo.entry import run_path

@@ -11,7 +11,7 @@ from cloak_core.core.evaluation.settings import FilmSettings
 from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.objects import Given
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.library.given import Named, by_name, open_backgrounds, open_bodies
+from cloak_core.library.values import Named, by_name, open_backgrounds, open_bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.film import make_film
 from cloak_core.studies.opening import open_run

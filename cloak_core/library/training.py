@@ -13,7 +13,7 @@ from cloak_core.core.surroundings import plain_torch
 from cloak_core.core.training import RunResult
 from cloak_core.detectors.objects import Given, as_detectors
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.library.given import Named, cast_of, made_settings, open_backgrounds, open_bodies
+from cloak_core.library.values import Named, cast_of, made_settings, open_backgrounds, open_bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.trainings.training import train as train_logo
 

@@ -11,12 +11,10 @@ from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.surroundings import plain_torch
 from cloak_core.detectors.objects import Given
-from cloak_core.library.given import Named, by_name, cast_of, made_settings, open_backgrounds
+from cloak_core.library.values import Figures, Named, by_name, cast_of, made_settings, open_backgrounds
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.people import People
-from cloak_core.studies.figures import Figures
-from cloak_core.studies.wearing.wearing import wear_and_judge
-from cloak_core.studies.wearing.widths import choose_widths
+from cloak_core.studies.wearing.wearing import choose_widths, wear_and_judge
 
 
 @plain_torch()

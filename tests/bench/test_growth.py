@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.bench import growth, growth_training
-from cloak_core.bench.growth_training import grow_people, grow_step, write_simulated
+from cloak_core.bench import growth
+from cloak_core.bench.growth import grow_people, grow_step, write_simulated
 from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import write_people
@@ -44,15 +44,15 @@ def test_simulated_people_differ_and_can_be_dressed(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_more_detectors_take_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth_training, "STEPS", 3)
+    monkeypatch.setattr(growth, "STEPS", 3)
     assert grow_step(4)["floor_ms"] > 1.5 * grow_step(1)["floor_ms"]
 
 
 @pytest.mark.slow
 def test_a_point_of_people_says_what_each_stage_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth_training, "BATCH", 2)
-    monkeypatch.setattr(growth_training, "STEPS", 1)
-    monkeypatch.setattr(growth_training, "SIZE", 128)
+    monkeypatch.setattr(growth, "BATCH", 2)
+    monkeypatch.setattr(growth, "STEPS", 1)
+    monkeypatch.setattr(growth, "SIZE", 128)
     monkeypatch.setenv("CLOAK_CACHE", "off")  # set anew within, for the point's own files
     figures = grow_people(2, str(write_people(tmp_path, 1)), None)
     assert figures["seconds"] == pytest.approx(figures["read_s"] + figures["fit_s"])

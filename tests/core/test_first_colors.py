@@ -10,7 +10,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.trainings.first_colors import DARK, FUR, animal_face, first_colors
+from cloak_core.studies.trainings.training import DARK, FUR, animal_face, first_colors
 from tests.sources.bodies.solids import cube
 
 

@@ -10,8 +10,8 @@ from PIL import Image, ImageCms
 from cloak_core import cli
 from cloak_core.exchange.profiles import Profile, read_profile
 from cloak_core.files.errors import InputError
-from cloak_core.products.calibration import chart, photograph
-from cloak_core.products.calibration.fitting import fit_profile, interpolation, profile_of, read_patches
+from cloak_core.products import chart
+from cloak_core.products.calibration import fit_profile, interpolation, profile_of, read_patches
 from cloak_core.sources.bodies.logos.color_difference import de2000, mean_difference
 from tests.products import synthetic_printer as printing
 from tests.schemas import validate
@@ -68,25 +68,25 @@ def test_a_printer_and_camera_that_the_fit_does_not_know(tried):
 @pytest.mark.slow
 def test_the_chart_is_read_whichever_way_up_it_lies(tried, tmp_path):
     folder, _ = tried
-    upright = photograph.read_photograph(folder / "photograph-1.jpg")
+    upright = chart.read_photograph(folder / "photograph-1.jpg")
     true = printing.come_out(chart.patch_colors())
     assert mean_difference(upright, true) < 2.5
     with Image.open(folder / "photograph-1.jpg") as picture:
         picture.rotate(180).save(tmp_path / "turned.png")
         picture.crop((0, 0, picture.width, picture.height * 2 // 3)).save(tmp_path / "half.png")
-    turned = photograph.read_photograph(tmp_path / "turned.png")
+    turned = chart.read_photograph(tmp_path / "turned.png")
     assert mean_difference(turned, upright) < 0.5
     with pytest.raises(InputError, match=r"half.png: 2 of the chart's four marks"):
-        photograph.read_photograph(tmp_path / "half.png")
+        chart.read_photograph(tmp_path / "half.png")
 
 
 @pytest.mark.slow
 def test_another_chart_between_the_marks_is_refused(tried, tmp_path, monkeypatch):
     folder, _ = tried
     others = chart.patch_colors()[np.random.default_rng(5).permutation(352)]
-    monkeypatch.setattr(photograph, "patch_colors", lambda: others)
+    monkeypatch.setattr(chart, "patch_colors", lambda: others)
     with pytest.raises(InputError, match="what lies between the marks is not the chart"):
-        photograph.read_photograph(folder / "photograph-1.jpg")
+        chart.read_photograph(folder / "photograph-1.jpg")
 
 
 def bent(sent: np.ndarray) -> np.ndarray:

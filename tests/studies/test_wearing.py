@@ -20,7 +20,7 @@ from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.opening import open_pattern
-from cloak_core.studies.wearing.widths import WIDTHS
+from cloak_core.studies.wearing.wearing import WIDTHS
 from cloak_core.zoo.entry import entry
 from tests.core.fakes import RedDetector
 from tests.schemas import validate

@@ -1,4 +1,4 @@
-"""What the library's functions take, as it is or by name: bodies, backgrounds, people, detectors, settings."""
+"""What the library's functions take, as it is or by name, and what they return."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgroun
 from cloak_core.sources.bodies.opening import load_scene
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from cloak_core.sources.photographs.people import People
 
 T = TypeVar("T")
@@ -57,3 +59,29 @@ def made_settings(settings: T | None, changes: dict, make: Callable[..., T]) -> 
     if settings is not None and changes:
         raise TypeError(f"settings are given: change {', '.join(changes)} there")
     return make(**changes) if settings is None else settings
+
+
+# --- what they return
+
+COLUMNS = ("success", "success_own", "success_iou", "conditional", "renamed", "gone", "ap50", "n")
+"""Figures of an S of contract C6 that are one number each."""
+
+
+class Figures(dict):
+    """The record that `cloak evaluate --json` or `cloak wear --json` prints, with its rates as a table."""
+
+    def to_frame(self) -> pd.DataFrame:
+        """Make a table with a row for each detector and what is worn: rates in [0, 1], bounds of the 95 % interval, n.
+
+        "logo" are the colours that were judged; "clothing", "grey", "random" and the like are controls.
+        """
+        import pandas as pd
+
+        rows = []
+        for spec, judged in self["detectors"].items():
+            for worn, rates in judged.items():
+                if isinstance(rates, dict) and "success" in rates and "ci95" in rates:
+                    low, high = rates["ci95"]
+                    row = {"detector": spec, "worn": worn, "low": low, "high": high}
+                    rows.append(row | {name: rates[name] for name in COLUMNS if name in rates})
+        return pd.DataFrame(rows)

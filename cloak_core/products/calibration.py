@@ -17,8 +17,7 @@ from scipy.linalg import solve
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import read_bytes, read_text
-from cloak_core.products.calibration.chart import patch_colors
-from cloak_core.products.calibration.photograph import read_photograph
+from cloak_core.products.chart import patch_colors, read_photograph
 from cloak_core.sources.bodies.logos.color_difference import TO_XYZ, mean_difference
 from cloak_core.sources.bodies.meshes.mesh_file import to_srgb
 
