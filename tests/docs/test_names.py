@@ -20,8 +20,8 @@ MODULES |= {path.parent.relative_to(ROOT).as_posix() for path in CORE.rglob("__i
 NAMES = {module.rsplit("/")[-1] for module in MODULES}
 ELSEWHERE = {"output.layout", "builtin.cfg", "builtin.weights"}
 """Keys of a file, and files: their last part is also the name of a module."""
-WRITTEN = {"train.py"}
-"""What users call a file of theirs."""
+WRITTEN = {"train.py", "hardened.py"}
+"""What users call a file of theirs, and what hardening writes."""
 
 
 def missing_paths(text: str) -> set[str]:
