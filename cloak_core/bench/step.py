@@ -115,10 +115,10 @@ class Bench:
     def measure(self, detectors: Sequence[Detector], repeats: int) -> dict:
         """Time steps against these detectors together, and their floor: each alone on the ready batch."""
         settings = self.settings
-        techniques = build_techniques(settings, self.pattern, detectors, self.device)
+        techniques, coloring = build_techniques(settings, self.pattern, detectors, self.device)
         objective = Objective(settings, self.pattern, detectors, self.device, techniques)
         grey = torch.full((self.pattern.count, 3), 0.5, device=self.device)
-        optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.pattern)
+        optimizer = ColorOptimizer(settings.optimization, grey, coloring)
         ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
         upstream = torch.zeros_like(ready)
         prefetcher = Prefetcher(self.batcher)

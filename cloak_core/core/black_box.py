@@ -105,7 +105,7 @@ class QueryOptimizer(ColorOptimizer):
         self._mean = torch.zeros_like(initial)
         self._square = initial.new_zeros(())
 
-    def reach(self, step: int, steps: int) -> None:
+    def on_step(self, step: int, steps: int) -> None:
         self._step = step
 
     def follow(self, estimate: Float[Tensor, "L 3"]) -> None:

@@ -108,11 +108,11 @@ class Objective:
         bodies: Float[Tensor, "B 4"] | None = None,
         company: Company | None = None,
     ) -> Detections:
-        """Ask detector `number` about images, within what techniques put around it where `step` is not None.
+        """Ask detector `number` about images, in the context of techniques where `step` is not None.
 
         Its scores are of what is to be hidden: of persons, or (`hide` everything) of any class on the bodies.
         """
-        with self.techniques.around(number, step):
+        with self.techniques.detector_context(number, step):
             detections = self.detectors[number](images)
         if company is not None:
             detections = only_hers(detections, bodies, company.others, company.anywhere)

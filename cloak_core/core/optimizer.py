@@ -16,11 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.core.coloring import Coloring
-from cloak_core.core.octaves import octave_sums
-from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.components import OptimizerSettings
-from cloak_core.core.smooth import neighbour_means, smoothed
-from cloak_core.core.technique import NO_TECHNIQUES, Techniques
 
 _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
@@ -49,25 +45,12 @@ class ColorOptimizer:
     """
 
     def __init__(
-        self,
-        settings: OptimizerSettings,
-        initial: Float[Tensor, "C 3"],
-        techniques: Techniques = NO_TECHNIQUES,
-        pattern: Pattern | None = None,
+        self, settings: OptimizerSettings, initial: Float[Tensor, "C 3"], coloring: Coloring | None = None
     ) -> None:
-        """Begin with parameters that make the colours `initial`, or near them.
-
-        pattern: says where colours lie and which share values; without one, octaves and smoothing are off.
-        """
+        """Begin with parameters that make the colours `initial`, or near them; coloring: None makes free colours."""
         self.settings = settings
-        octaves = smooth = None
-        if pattern is not None and settings.octaves > 1:
-            octaves = octave_sums(pattern.points, pattern.spacing, settings.octaves, pattern.period, initial.device)
-        if pattern is not None and settings.smooth:
-            means = neighbour_means(pattern.neighbours, pattern.value_count, initial.device)
-            smooth = partial(smoothed, means=means, rounds=settings.smooth)
-        self._coloring = Coloring(techniques, pattern, settings.gamut == "sigmoid", octaves, smooth)
-        self._parameter = self._coloring.begin(initial).requires_grad_()
+        self.coloring = coloring or Coloring(settings)
+        self._parameter = self.coloring.begin(initial).requires_grad_()
         if settings.optimizer == "adam":
             self._move = _adam
             self._names = {"exp_avg", "exp_avg_sq"}
@@ -80,23 +63,23 @@ class ColorOptimizer:
         self._state: dict[str, Tensor] = {}
         self._project()
 
-    def reach(self, step: int, steps: int) -> None:
-        """Say that `step` of `steps` begins. Until it is said, the run is at its beginning."""
-        self._coloring.reach(step, steps, self._parameter)
+    def on_step(self, step: int, steps: int) -> None:
+        """Hear that `step` of `steps` begins. Until then the run is at its beginning."""
+        self.coloring.on_step(step, steps, self._parameter)
 
     def colors(self) -> Float[Tensor, "C 3"]:
         """Give the colours, in [0, 1], as part of the graph."""
-        return self._coloring(self._parameter)
+        return self.coloring(self._parameter)
 
     @torch.no_grad()
     def finished(self) -> Float[Tensor, "C 3"]:
         """Give the colours if the run ended here."""
-        return self._coloring(self._parameter, is_final=True).detach()
+        return self.coloring(self._parameter, is_final=True).detach()
 
     @torch.no_grad()
     def _project(self) -> None:
-        if self._coloring.is_direct:
-            self._parameter.copy_(self._coloring.kept(self._parameter))
+        if self.coloring.is_direct:
+            self._parameter.copy_(self.coloring.project(self._parameter))
 
     @property
     def gradient(self) -> Float[Tensor, "P 3"]:
@@ -110,14 +93,14 @@ class ColorOptimizer:
     def update(self, lr: float) -> None:
         """Take one step against the gradient; projected colours are cut back to [0, 1]."""
         self._move(self._parameter, self._parameter.grad, self._state, lr)
-        if not self._coloring.is_sigmoid:
+        if not self.coloring.is_sigmoid:
             self._parameter.clamp_(0, 1)
         self._project()
 
     def state(self) -> dict[str, Tensor]:
         """Give everything that later updates depend on, for a checkpoint."""
         own = {_STATE + name: value for name, value in self._state.items()}
-        return {"parameter": self._parameter.detach(), **own}
+        return {"parameter": self._parameter.detach(), **own, **self.coloring.state()}
 
     @torch.no_grad()
     def load(self, tensors: dict[str, Tensor]) -> None:
@@ -135,6 +118,7 @@ class ColorOptimizer:
         self._state = {name: value.to(self._parameter, copy=True) for name, value in own.items()}
         if steps is not None:
             self._state["step"] = steps.to("cpu", torch.float32, copy=True)
+        self.coloring.load(tensors)
 
 
 def _sgd(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float, momentum: float) -> None:

@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Float
 
 from cloak_core.core.batches import Batcher
+from cloak_core.core.coloring import Coloring
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
 from cloak_core.core.objective import Objective
@@ -43,6 +44,8 @@ class Job:
     first: Float[np.ndarray, "C 3"]
     """The colours to begin with."""
     techniques: Techniques
+    coloring: Coloring
+    """Makes the pattern's colours, with what techniques allow."""
     source: Source
     backgrounds: Backdrops
     detectors: Sequence[Detector]
@@ -76,7 +79,7 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
         objective = Objective(drawn, pattern, job.detectors, device, techniques)
         if search is None:
-            optimizer = ColorOptimizer(settings.optimization, first, techniques, pattern)
+            optimizer = ColorOptimizer(settings.optimization, first, job.coloring)
             loop = TrainingLoop(settings, run, batcher, objective, optimizer, on_event, world)
         else:
             prior = None
@@ -94,7 +97,8 @@ def _require_plain(job: Job, world: World) -> None:
     """Refuse what a search by questions does not do. InputError."""
     if world.size > 1:
         raise InputError("--black-box-queries: searches in one process")
-    is_plain = job.settings.pattern.pattern == "free" and job.settings.optimization.octaves == 1
-    if not is_plain or any(technique.bars_search for technique in job.techniques):
+    pattern, optimization = job.settings.pattern, job.settings.optimization
+    is_plain = pattern.pattern == "free" and pattern.profile is None and optimization.octaves == 1
+    if not is_plain or optimization.initial_share or job.coloring.is_restricted:
         refused = "--colors-at-most, --pattern, --profile, --near, --octaves and --initial-share"
         raise InputError(f"--black-box-queries: free colours alone, without {refused}")

@@ -120,7 +120,7 @@ class TrainingLoop(Loop):
     def one_step(self) -> None:
         """See `Loop`: draw, paint, ask, loss, gradient, update."""
         lr = learning_rate(self.settings.optimization, self.step, self.steps, self.sampler.epoch_of(self.step))
-        self.optimizer.reach(self.step, self.steps)
+        self.optimizer.on_step(self.step, self.steps)
         batch = self.batches.batch(self.step)
         part = len(batch) / self.sampler.images_of(self.step)
         step = self._gradient(batch, part)
@@ -178,20 +178,18 @@ class TrainingLoop(Loop):
     def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
         """Give the colours of the logo's faces: of a cloth, the mean of the squares on each face.
 
-        Where a technique restricts colours the mean might not be allowed; then it is the colour of the square under the
+        Where colours are restricted the mean might not be allowed; then it is the colour of the square under the
         face's centre.
         """
-        is_exact = any(technique.is_exact for technique in self.techniques)
-        return self.batcher.pattern.on_faces(_as_array(colors), is_exact)
+        return self.batcher.pattern.on_faces(_as_array(colors), self.optimizer.coloring.is_restricted)
 
     def state(self) -> dict[str, Tensor]:
         """See `Loop`."""
-        return self.optimizer.state() | self.techniques.state() | self.objective.ensemble.state()
+        return self.optimizer.state() | self.objective.ensemble.state()
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         """See `Loop`."""
         self.optimizer.load(tensors)
-        self.techniques.load(tensors)
         self.objective.ensemble.load(tensors)
 
     def _write_snapshot(self) -> None:

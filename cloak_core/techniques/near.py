@@ -30,8 +30,6 @@ HALVINGS = 12
 class Near(Technique):
     """A garment's colours, and how far from them all faces together may be."""
 
-    is_exact = bars_search = True
-
     def __init__(self, garment: Float[np.ndarray, "L 3"], mean: float, most: float) -> None:
         """garment: sRGB in [0, 1], float32; mean and most: the largest mean and 95th percentile of CIEDE2000."""
         self.garment = garment
@@ -53,7 +51,7 @@ class Near(Technique):
     def report(self, colors: Float[np.ndarray, "L 3"]) -> dict[str, float]:
         return dict(zip(("de2000_mean", "de2000_p95"), self.closeness(colors), strict=True))
 
-    def keep(self, colors: Float[torch.Tensor, "L 3"]) -> Float[torch.Tensor, "L 3"]:
+    def project(self, colors: Float[torch.Tensor, "L 3"]) -> Float[torch.Tensor, "L 3"]:
         """Move faces towards the garment until both bounds hold; colours that keep them stay to the bit.
 
         Faces of equal colours on equal garment colours stay equal.

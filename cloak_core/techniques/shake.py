@@ -32,7 +32,7 @@ class Shake(Technique):
         self.reach = reach
         self.seed = seed
 
-    def around(self, number: int, step: int) -> contextlib.AbstractContextManager:
+    def detector_context(self, number: int, step: int) -> contextlib.AbstractContextManager:
         """Shake detector `number` in `step`, by (seed, step, number)."""
         state = np.random.SeedSequence([self.seed, _STREAM, step, number]).generate_state(1, np.uint64)
         return _shaking(self.reach, torch.Generator().manual_seed(int(state[0] >> 1)))

@@ -202,4 +202,4 @@ def techniques_of(
     """The techniques that the settings have on, for the front of a box."""
     bodies = bodies or box_bodies()
     pattern = pattern_of(settings.pattern, bodies, front_logo(bodies))
-    return build_techniques(settings, pattern, detectors, torch.device("cpu"))
+    return build_techniques(settings, pattern, detectors, torch.device("cpu"))[0]

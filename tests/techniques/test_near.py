@@ -24,19 +24,19 @@ COLORS = torch.from_numpy(RANDOM.random((500, 3)).astype(np.float32))
 @pytest.mark.parametrize("garment", [PRINT, np.full((500, 3), 0.5, np.float32), np.zeros((500, 3), np.float32)])
 def test_both_bounds_hold_to_the_last_bit(garment, mean, most):
     near = Near(garment, mean, most)
-    found = near.keep(COLORS)
+    found = near.project(COLORS)
     far = de2000(lab(found.numpy()), lab(garment))
     assert far.mean() <= mean and np.percentile(far, 95) <= most
     assert near.closeness(found.numpy()) == (far.mean(), np.percentile(far, 95))
     assert far.mean() > 0.97 * mean or np.percentile(far, 95) > 0.97 * most  # no closer than asked
     assert float(found.min()) >= 0 and float(found.max()) <= 1
-    assert torch.equal(near.keep(found), found)
+    assert torch.equal(near.project(found), found)
 
 
 def test_equal_colours_on_a_plain_garment_stay_equal():
     inks = torch.tensor([[0.1, 0.1, 0.6], [0.9, 0.9, 0.1], [0.5, 0.5, 0.5]])
     colors = inks[torch.from_numpy(RANDOM.integers(0, 3, 500))]
-    found = Near(np.full((500, 3), 0.5, np.float32), 8.0, 12.0).keep(colors)
+    found = Near(np.full((500, 3), 0.5, np.float32), 8.0, 12.0).project(colors)
     assert len(np.unique(found.numpy(), axis=0)) == 3
 
 

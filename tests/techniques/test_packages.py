@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cloak_core import cli
+from cloak_core.core.events import read_events
 from cloak_core.core.logo import load_logo
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import reach
@@ -14,6 +15,7 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies.opening import open_pattern
 
 CODE = """
+import contextlib
 from pathlib import Path
 import numpy as np
 from cloak_core.core.technique import Technique
@@ -23,8 +25,18 @@ Path(__file__).with_name("ran").touch()
 class Grey(Technique):
     def __init__(self, least):
         self.least = least
-    def keep(self, colors):
+    name = "darkness"
+    def penalty(self, colors):
+        return 2.0, 1 - colors.mean()
+    def project(self, colors):
         return colors.mean(1, keepdim=True).clamp(min=self.least).expand(-1, 3)
+    def report(self, colors):
+        return {"least": float(colors.min())}
+    @contextlib.contextmanager
+    def detector_context(self, number, step):
+        with Path("asked").open("a") as file:
+            print(number, step, file=file)
+        yield
 
 def grey(text, settings, pattern, detectors, device):
     return Grey(float(text or 0))
@@ -77,7 +89,10 @@ def test_a_technique_acts_and_the_run_goes_on_with_it_alone(package: Path, capsy
     assert train("--technique", "grey:0.75", "--max-seconds", "1e-6") == 3
     (record,) = json.loads(Path("run/config.json").read_text())["techniques"]
     assert record | {"sha256": ""} == {"spec": "grey:0.75", "package": "made_elsewhere 1.5", "sha256": ""}
-    capsys.readouterr()
+    assert json.loads(capsys.readouterr().out)["least"] >= 0.75
+    event = next(event for event in read_events(Path("run/events.jsonl")) if event["type"] == "step")
+    assert event["loss"] == pytest.approx(event["disappearance"] + 2.5 * event["tv"] + 2 * event["darkness"])
+    assert Path("asked").read_text() == "0 0\n"
     for other in ([], ["--technique", "grey:0.5"]):
         assert train("--resume", *other) == 2
         assert "techniques" in capsys.readouterr().err

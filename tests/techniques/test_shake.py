@@ -35,7 +35,7 @@ class Residual(Detector):
 
 def scores(step: int | None, detector: Detector | None = None, seed: int = 0, shake: float = 0.0) -> torch.Tensor:
     detector = detector or Residual()
-    with contextlib.nullcontext() if step is None else Shake(shake, seed).around(0, step):
+    with contextlib.nullcontext() if step is None else Shake(shake, seed).detector_context(0, step):
         return detector(IMAGES).scores
 
 
@@ -59,7 +59,7 @@ def test_what_is_drawn_is_a_function_of_seed_and_step_and_the_detector_stays_as_
 
 def test_two_maps_of_which_none_was_read_are_both_shaken():
     one, other = torch.ones(1, 8, 2, 2), torch.ones(1, 8, 2, 2)
-    with Shake(0.5, 0).around(0, 0):
+    with Shake(0.5, 0).detector_context(0, 0):
         total = one + other
         small = one[:, :4] + other[:, :4]  # too few channels for features
     assert total.unique().numel() == 1 and 1 < float(total[0, 0, 0, 0]) < 3 and float(total[0, 0, 0, 0]) != 2

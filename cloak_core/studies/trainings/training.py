@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32
 
+from cloak_core.core.coloring import Coloring
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
 from cloak_core.core.geometry import face_centres, face_normals
@@ -98,29 +99,31 @@ def make_job(training: Training, source: Source, world: World) -> Job:
     surrogates = [detector.to(device) for detector in training.query_prior]
     pattern = pattern_of(settings.pattern, bodies, logo)
     start = _start(training)
-    techniques, foreign = _techniques(training, pattern, detectors, device)
+    techniques, coloring, files = _techniques(training, pattern, detectors, device)
     if start is None:
         first = first_colors(settings.optimization, pattern, bodies, settings.run.seed)
     else:
         first = pattern.from_faces(start)
-    config = run_config(training, world.size, _files(start, techniques) | foreign)
+    config = run_config(training, world.size, files | _content(start))
     source.require_visible(pattern)
-    return Job(settings, pattern, first, techniques, source, training.backgrounds, detectors, surrogates, config)
+    backgrounds = training.backgrounds
+    return Job(settings, pattern, first, techniques, coloring, source, backgrounds, detectors, surrogates, config)
 
 
 def _techniques(
     training: Training, pattern: Pattern, detectors: Sequence[Detector], device: torch.device
-) -> tuple[Techniques, dict[str, object]]:
-    """Build those that the settings have on, then those of other packages, and what config.json has of the latter."""
+) -> tuple[Techniques, Coloring, dict[str, object]]:
+    """Build the techniques, other packages' last, what makes colours with them, and their part of config.json."""
     settings = training.settings
-    own = build_techniques(settings, pattern, detectors, device)
     foreign = [
         call_package("cloak.techniques", spec, Technique, settings, pattern, detectors, device)
         for spec in training.techniques
     ]
-    if not foreign:
-        return own, {}
-    return Techniques([*own, *(made for made, _ in foreign)]), {"techniques": [record for _, record in foreign]}
+    techniques, coloring = build_techniques(settings, pattern, detectors, device, [made for made, _ in foreign])
+    files = techniques.content() | coloring.content()
+    if foreign:
+        files["techniques"] = [record for _, record in foreign]
+    return techniques, coloring, files
 
 
 def _start(training: Training) -> Float32[np.ndarray, "L 3"] | None:
@@ -129,9 +132,9 @@ def _start(training: Training) -> Float32[np.ndarray, "L 3"] | None:
     return None if path is None else read_start(Path(path), training.logo)
 
 
-def _files(start: Float32[np.ndarray, "L 3"] | None, techniques: Techniques) -> dict[str, object]:
-    """Record the content of the files that the settings name."""
-    return techniques.content() | ({} if start is None else {"start": {"sha256": sha256_arrays(start)}})
+def _content(start: Float32[np.ndarray, "L 3"] | None) -> dict[str, object]:
+    """Record the first colours that --init names, where it names any."""
+    return {} if start is None else {"start": {"sha256": sha256_arrays(start)}}
 
 
 def make_source(training: Training) -> Source:
@@ -144,8 +147,8 @@ def make_source(training: Training) -> Source:
 def training_config(training: Training) -> dict:
     """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
     pattern = pattern_of(training.settings.pattern, training.bodies, training.logo)
-    techniques, foreign = _techniques(training, pattern, training.detectors, torch.device("cpu"))
-    return run_config(training, files=_files(_start(training), techniques) | foreign)
+    _, _, files = _techniques(training, pattern, training.detectors, torch.device("cpu"))
+    return run_config(training, files=files | _content(_start(training)))
 
 
 # --- the colours that a training begins with: of faces, or of the squares of a cloth
