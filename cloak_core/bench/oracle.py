@@ -20,8 +20,7 @@ from torch import Tensor
 
 from cloak_core.core.view import Screen
 from cloak_core.core.visibility.clipping import clip
-from cloak_core.core.visibility.packing import DEPTH_BITS
-from cloak_core.core.visibility.screen import GRID
+from cloak_core.core.visibility.screen import DEPTH_BITS, GRID
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from jaxtyping import Float32, Int32, Int64
 
 from cloak_core.core.cameras import Camera, Vector
 from cloak_core.core.view import Screen, View, Visibility, Window
-from cloak_core.core.visibility.packing import DEPTH_BITS, EMPTY, ID_BITS
 from cloak_core.core.visibility.rasterizer import bounding_window
+from cloak_core.core.visibility.screen import DEPTH_BITS, EMPTY, ID_BITS
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.view_cache import Key, ViewCache

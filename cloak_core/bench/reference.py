@@ -1,7 +1,7 @@
 """The reference that views are judged by: exact areas in pixels an eighth as wide, each part lit by itself.
 
 Areas come from the loops (`bench stability` holds them against exact fractions), light from its float64 twin: the
-formula of `torch.shading`, ray by ray in world space.
+formula of `torch.matrix`, ray by ray in world space.
 """
 
 from __future__ import annotations

@@ -38,10 +38,9 @@ from cloak_core.core.cameras import Camera
 from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.view import CrowdedPixels, View
 from cloak_core.core.visibility.compiled import torch_alone
-from cloak_core.core.visibility.packing import DEPTH_BITS
 from cloak_core.core.visibility.projection import project
 from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, rasterize
-from cloak_core.core.visibility.screen import GRID
+from cloak_core.core.visibility.screen import DEPTH_BITS, GRID
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.core.visibility.threads import torch_threads
 from cloak_core.exchange.bodies import Bodies

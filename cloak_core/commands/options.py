@@ -35,7 +35,7 @@ def prepare_process(settings: ComputeSettings) -> None:
     check_settings(settings)
     keep_freed_memory()
     if settings.device != "cpu":
-        from cloak_core.core.detector.devices import usable_device
+        from cloak_core.core.surroundings import usable_device
 
         usable_device(settings.device)
     if settings.threads is not None:

@@ -21,12 +21,12 @@ from torch import Tensor
 
 from cloak_core.core.batches import Batch, Batcher
 from cloak_core.core.events import OnEvent, read_events
+from cloak_core.core.loop import StopRequest
 from cloak_core.core.objective import Objective, Step, StepFigures
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.run_folder import RunFolder
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.components import OptimizerSettings
-from cloak_core.core.stopping import StopRequest
 from cloak_core.core.training import RunResult, TrainingLoop
 from cloak_core.core.world import World
 from cloak_core.files.errors import InputError

@@ -19,7 +19,7 @@ from torch.autograd.graph import increment_version
 
 from cloak_core.core.linear import LinearMap
 from cloak_core.core.view import BakedView
-from cloak_core.core.visibility.backend import backend
+from cloak_core.core.visibility.compiled import backend
 
 
 def compose(

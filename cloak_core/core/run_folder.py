@@ -15,9 +15,8 @@ from jaxtyping import Float, Float32
 from PIL import Image
 from torch import Tensor
 
-from cloak_core.core.detector.drawing import draw_boxes
 from cloak_core.core.detector.protocol import Detections
-from cloak_core.core.detector.scoring import person_boxes
+from cloak_core.core.detector.scoring import draw_boxes, person_boxes
 from cloak_core.core.logo import Logo
 from cloak_core.core.loop import LoopFolder
 from cloak_core.core.pictures import save_picture

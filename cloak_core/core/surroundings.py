@@ -1,4 +1,7 @@
-"""Torch as it is where nobody has changed it, for the length of a call: what we compute follows from what is given."""
+"""Where torch computes, and torch as it is where nobody has changed it, for the length of a call.
+
+So what we compute follows from what is given.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,23 @@ from collections.abc import Iterator
 
 import torch
 
+from cloak_core.files.errors import InputError, first_line
+
 _lock = threading.Lock()
 _calls: list[torch.dtype] = []
 """The caller's default type, once for each call that goes on: torch has one for all threads."""
+
+
+def usable_device(device: str | torch.device) -> torch.device:
+    """Find the torch device of this name. InputError: there is none, or it cannot be used on this machine."""
+    try:
+        usable = torch.device(device)
+        if usable.type == "meta":
+            raise RuntimeError("holds no numbers")
+        torch.empty(1, device=usable)
+    except (RuntimeError, AssertionError, NotImplementedError, ImportError) as error:  # each backend has its own
+        raise InputError(f"--device {device}: {first_line(error)}") from None
+    return usable
 
 
 @contextlib.contextmanager

@@ -21,6 +21,7 @@ from cloak_core.core.batches import Batcher
 from cloak_core.core.coloring import Coloring
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.events import OnEvent
+from cloak_core.core.loop import stop_request
 from cloak_core.core.objective import Objective
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.pattern import Pattern
@@ -28,7 +29,6 @@ from cloak_core.core.run_folder import RunFolder, open_run
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.source import Backdrops, Source
-from cloak_core.core.stopping import stop_request
 from cloak_core.core.technique import Techniques
 from cloak_core.core.training import RunResult, TrainingLoop
 from cloak_core.core.world import World, local_device

@@ -14,12 +14,11 @@ from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.core.ensemble import sureness
 from cloak_core.core.events import OnEvent, read_events
-from cloak_core.core.loop import Loop, TrainingError
+from cloak_core.core.loop import Loop, StopRequest, TrainingError
 from cloak_core.core.objective import Objective, Step, StepFigures, gradient_step
 from cloak_core.core.optimizer import ColorOptimizer, learning_rate
 from cloak_core.core.run_folder import RunFolder, save_preview, write_cloth
 from cloak_core.core.settings import TrainSettings
-from cloak_core.core.stopping import StopRequest
 from cloak_core.core.world import World
 from cloak_core.exchange.colors import write_colors
 

@@ -20,7 +20,7 @@ from cloak_core.core.cameras import Number, Vector
 from cloak_core.core.linear import LinearMap, SparseMap
 from cloak_core.core.places import Places
 from cloak_core.core.visibility.compiled import arrays
-from cloak_core.core.visibility.packing import triangle_ids
+from cloak_core.core.visibility.screen import triangle_ids
 from cloak_core.core.visibility.settings import Light
 
 Cull = Bool[Tensor, " B"] | Bool[Tensor, "B T"] | None
@@ -91,7 +91,7 @@ class Visibility:
     """The nearest triangle at every sample of a window of B views."""
 
     packed: Int64[Tensor, "B rows columns"]
-    """Packed depth and id (packing.py) of sample rows and columns, n to a pixel; `EMPTY` where nothing is."""
+    """Packed depth and id (screen.py) of sample rows and columns, n to a pixel; `EMPTY` where nothing is."""
     window: Window
     width: int
     height: int

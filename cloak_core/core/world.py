@@ -15,7 +15,7 @@ import torch.distributed as dist
 from torch import Tensor
 from torch.distributed.rendezvous import rendezvous
 
-from cloak_core.core.detector.devices import usable_device
+from cloak_core.core.surroundings import usable_device
 from cloak_core.files.errors import InputError
 
 TIMEOUT = timedelta(minutes=10)

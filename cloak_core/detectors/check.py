@@ -11,9 +11,8 @@ from jaxtyping import Float
 from PIL import ImageOps
 from torch import Tensor
 
-from cloak_core.core.detector.drawing import draw_boxes
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.detector.scoring import THRESHOLD, box_iou, max_person_score, person_boxes, suppressed
+from cloak_core.core.detector.scoring import THRESHOLD, box_iou, draw_boxes, max_person_score, person_boxes, suppressed
 from cloak_core.core.pictures import open_picture, save_picture
 from cloak_core.detectors.pixels import USUAL, PixelFormat
 from cloak_core.files.errors import InputError

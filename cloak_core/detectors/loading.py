@@ -5,9 +5,8 @@ from typing import Literal
 
 import torch
 
-from cloak_core.core.detector.devices import usable_device
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.core.surroundings import plain_torch
+from cloak_core.core.surroundings import plain_torch, usable_device
 from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.naming import full_spec, refuse_typing_errors

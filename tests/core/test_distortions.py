@@ -8,8 +8,7 @@ import torch
 from PIL import Image, ImageFilter
 
 from cloak_core.core.batches import Batcher
-from cloak_core.core.distortions import Distortion, draw_window
-from cloak_core.core.filters import blurred, through_jpeg, windowed
+from cloak_core.core.distortions import Distortion, blurred, draw_window, through_jpeg, windowed
 from cloak_core.core.geometry import face_centres
 from cloak_core.core.sampling import Sampler
 from cloak_core.patterns.faces import FacePattern

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from cloak_core.core.stopping import stop_request
+from cloak_core.core.loop import stop_request
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -6,7 +6,7 @@ import torch
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.paint import compose
-from cloak_core.core.visibility.packing import DEPTH_BITS, ID_BITS, LIMIT
+from cloak_core.core.visibility.screen import DEPTH_BITS, ID_BITS, LIMIT
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.sources.bodies.view_cache import ViewCache

@@ -1,7 +1,10 @@
-"""When a person counts as detected: used by attack, evaluation and drawing alike."""
+"""When a person counts as detected: used by attack, evaluation and drawing alike; and the drawing of boxes."""
+
+from __future__ import annotations
 
 import torch
 from jaxtyping import Bool, Float
+from PIL import Image, ImageDraw
 from torch import Tensor
 
 from cloak_core.core.detector import THRESHOLD
@@ -30,7 +33,7 @@ def is_detected(detections: Detections, threshold: float = THRESHOLD) -> Bool[Te
     return max_person_score(detections).detach() > threshold
 
 
-def box_iou(a: Float[Tensor, "*#shape 4"], b: Float[Tensor, "*#shape 4"]) -> Float[Tensor, "..."]:
+def box_iou(a: Float[Tensor, "*#shape 4"], b: Float[Tensor, "*#shape 4"]) -> Float[Tensor, ...]:
     """Compute intersection over union of xyxy boxes, broadcast; 0 where both are empty."""
     sides = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0)
     intersection = sides.prod(dim=-1)
@@ -69,3 +72,23 @@ def row_max(values: Float[Tensor, "B N"]) -> Float[Tensor, " B"]:
 
 def _area(boxes: Tensor) -> Tensor:
     return (boxes[..., 2:] - boxes[..., :2]).clamp(min=0).prod(dim=-1)
+
+
+FRAME = (255, 60, 60)
+
+
+def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Image.Image:
+    """Draw each box (x1, y1, x2, y2, score) onto the image, its score beside it."""
+    pixels = (image.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
+    picture = Image.fromarray(pixels)
+    draw = ImageDraw.Draw(picture)
+    size = max(12, picture.height // 30)
+    for x1, y1, x2, y2, score in boxes.tolist():
+        x1, x2 = sorted(min(max(x, 0), picture.width - 1) for x in (x1, x2))
+        y1, y2 = sorted(min(max(y, 0), picture.height - 1) for y in (y1, y2))
+        draw.rectangle((x1, y1, x2, y2), outline=FRAME, width=max(2, size // 8))
+        label = f"{score:.2f}"
+        corner = (x1, max(0.0, y1 - size * 1.2))
+        draw.rectangle(draw.textbbox(corner, label, font_size=size), fill=FRAME)
+        draw.text(corner, label, fill=(255, 255, 255), font_size=size)
+    return picture

@@ -3,6 +3,12 @@
 torch pays for every operation and every intermediate array; a triangle of a body covers a handful of samples, so on the
 CPU that is most of a view's time. The loops do the same arithmetic in the same order (no fused or reordered operations)
 and give the same result as the torch operations in torch/, which other devices use.
+
+So a render's stages are functions of equal names in two rooms, which `backend` chooses by device: `cpu` (these loops)
+and `torch` (any device; two stages start a Triton kernel on CUDA, which CLOAK_TRITON=0 switches off). The latter
+documents them. Both give the same face ids, bit for bit, and the same weights within 1e-6; tests compare them
+(`torch_alone`). In the order of a render: `cover`, `merge_samples`, `build_view`, `draw_bodies`, `logo_matrix`. Exact
+areas have loops alone.
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ import os
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import numba
 import numpy as np
@@ -44,7 +51,7 @@ def loop(function: Callable, **options: object) -> Callable:
 def _source_stamp(file: Path) -> tuple[tuple[float, int], ...]:
     """Time and size of a file with loops and of all files whose loops and numbers it may call."""
     room = Path(__file__).parent
-    files = [file, *sorted(room.glob("cpu/*.py")), *(room / f"{name}.py" for name in ("compiled", "packing", "screen"))]
+    files = [file, *sorted(room.glob("cpu/*.py")), *(room / f"{name}.py" for name in ("compiled", "screen"))]
     return tuple((state.st_mtime, state.st_size) for state in (source.stat() for source in files))
 
 
@@ -111,7 +118,7 @@ def _is_triton_there() -> bool:
 def _kernels_start(device: torch.device) -> bool:
     """Try one out: Triton needs a C compiler and Python's headers, which a machine that trains may lack."""
     try:
-        importlib.import_module(f"{__package__}.fused.kernel").try_out(device)
+        importlib.import_module(f"{__package__}.fused").try_out(device)
     except Exception as error:  # whatever a compiler that is not there, or too old, makes of it
         words = (str(error).strip().splitlines() or [type(error).__name__])[0]
         _log.warning("Triton's kernels do not start here, torch's operations draw instead: %s", words)
@@ -146,3 +153,8 @@ def torch_alone() -> Iterator[None]:
 def arrays(*tensors: torch.Tensor) -> list[np.ndarray]:
     """View the tensors' own memory as contiguous arrays, as loops want it."""
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
+
+
+def backend(device: torch.device) -> ModuleType:
+    """Choose the stages for a device: loops on the CPU, torch's operations elsewhere."""
+    return importlib.import_module(f"{__package__}.{'cpu' if use_loops(device) else 'torch'}")

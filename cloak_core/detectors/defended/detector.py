@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
-from cloak_core.core.filters import blurred, through_jpeg, windowed
+from cloak_core.core.distortions import blurred, through_jpeg, windowed
 from cloak_core.detectors.defended.table import DEFENCES, read_head
 
 

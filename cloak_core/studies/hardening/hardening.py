@@ -21,10 +21,9 @@ from torch import Tensor
 from cloak_core import __version__
 from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.events import OnEvent
-from cloak_core.core.loop import Loop, LoopFolder, TrainingError
+from cloak_core.core.loop import Loop, LoopFolder, StopRequest, TrainingError, stop_request
 from cloak_core.core.settings.values import option
 from cloak_core.core.source import NOBODY, Cast
-from cloak_core.core.stopping import StopRequest, stop_request
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record

@@ -66,7 +66,7 @@ def test_light_is_the_same(shininess: float) -> None:
 COMPILE = """
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource, compile
-from cloak_core.core.visibility.fused import kernel, sampling, shading
+from cloak_core.core.visibility import fused
 
 def compiled(function, types, constants, **options):
     names = [parameter.name for parameter in function.params]
@@ -76,9 +76,9 @@ def compiled(function, types, constants, **options):
 
 drawn = "*i64 *i32 *i32 *fp64 *i64 *i64 *i1" + 6 * " i32"
 constants = {"DEPTH_BITS": 39, "ID_BITS": 24, "BLOCK": 64}
-print(compiled(sampling.draw, drawn, constants, **sampling.OPTIONS))
+print(compiled(fused.draw, drawn, constants, **fused.OPTIONS))
 lit = "*fp32 *i64 *fp32 *fp64 *fp64 *i64 *fp64 *fp32 *fp32 *fp64" + 3 * " i32" + 6 * " fp32"
-compiled(shading.light_all, lit, {"BLOCK": 128}, **kernel.NO_FUSION)
+compiled(fused.light_all, lit, {"BLOCK": 128}, **fused.NO_FUSION)
 """
 
 
@@ -97,10 +97,10 @@ def test_where_no_kernel_starts_torch_draws_and_a_line_says_so(
     def no_compiler(device: torch.device) -> None:
         raise RuntimeError("Failed to find C compiler.\nMore of it.")
 
-    from cloak_core.core.visibility.fused.kernel import try_out
+    from cloak_core.core.visibility.fused import try_out
 
     try_out(torch.device("cpu"))  # interpreted
-    monkeypatch.setattr("cloak_core.core.visibility.fused.kernel.try_out", no_compiler)
+    monkeypatch.setattr("cloak_core.core.visibility.fused.try_out", no_compiler)
     compiled._kernels_start.cache_clear()
     assert not use_kernels(torch.device("cuda")) and not use_kernels(torch.device("cuda"))
     compiled._kernels_start.cache_clear()

@@ -8,10 +8,9 @@ from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import Window
 from cloak_core.core.visibility.compiled import torch_alone
-from cloak_core.core.visibility.packing import DEPTH_BITS, ID_BITS, LIMIT
 from cloak_core.core.visibility.projection import project
 from cloak_core.core.visibility.rasterizer import rasterize
-from cloak_core.core.visibility.screen import GRID, GUARD
+from cloak_core.core.visibility.screen import DEPTH_BITS, GRID, GUARD, ID_BITS, LIMIT
 from cloak_core.core.visibility.torch import sampling as torch_sampling
 from cloak_core.files.errors import InputError
 

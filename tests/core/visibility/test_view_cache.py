@@ -10,7 +10,7 @@ from bodies_made import sphere
 from cloak_core.core.cameras import Camera
 from cloak_core.core.visibility.normals import NormalOperator
 from cloak_core.core.visibility.settings import Light, RenderSettings
-from cloak_core.core.visibility.torch.shading import shade
+from cloak_core.core.visibility.torch.matrix import shade
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies import view_cache

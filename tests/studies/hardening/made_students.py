@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from cloak_core.core.detector.protocol import state_hash
-from cloak_core.core.stopping import StopRequest
+from cloak_core.core.loop import StopRequest
 from cloak_core.detectors.loading import load_detector
 from cloak_core.studies.hardening.hardening import HardenResult, Material, harden
 from cloak_core.studies.hardening.settings import HardenSettings

@@ -10,7 +10,7 @@ import torch
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.harden import Harden
 from cloak_core.core.detector.protocol import state_hash
-from cloak_core.core.stopping import StopRequest
+from cloak_core.core.loop import StopRequest
 from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError

@@ -13,8 +13,7 @@ from torch import Tensor
 from cloak_core.core.view import FlatTriangles, Fragments, Window
 from cloak_core.core.visibility.compiled import arrays, loop
 from cloak_core.core.visibility.cpu.triangles import doubled_area, in_order
-from cloak_core.core.visibility.packing import DEPTH_BITS, EMPTY, ID_BITS, LIMIT
-from cloak_core.core.visibility.screen import GRID
+from cloak_core.core.visibility.screen import DEPTH_BITS, EMPTY, GRID, ID_BITS, LIMIT
 
 SIDE = 64
 """Samples along each side of a pixel of too many pieces to resolve exactly."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from cloak_core.core.view import FlatTriangles, Fragments, Window
 from cloak_core.core.visibility.compiled import use_kernels
-from cloak_core.core.visibility.packing import DEPTH_BITS, EMPTY, ID_BITS, LIMIT, triangle_ids
+from cloak_core.core.visibility.screen import DEPTH_BITS, EMPTY, ID_BITS, LIMIT, triangle_ids
 
 CHUNK = 1 << 16
 """Pairs of triangle and sample worked on at once on the CPU; elsewhere, with slow starts and much memory, 64 times."""
@@ -38,7 +38,7 @@ def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int,
     shift: there are 2^shift grid units between samples.
     """
     if use_kernels(packed.device):
-        from cloak_core.core.visibility.fused.sampling import cover as fused  # needs Triton
+        from cloak_core.core.visibility.fused import cover as fused  # needs Triton
 
         fused(packed, flat, row0, column0, shift)
         return
@@ -115,7 +115,7 @@ def _packed(triangles: Triangles, own: Tensor, place: Int64[Tensor, "xy=2 M"]) -
     area = d1x * d2y - d1y * d2x
     y1, y2 = corners[1, 1:]
     inside = (e1 >= 0) & (e2 > 0) & (area - e1 - e2 + (y1 > y2) > 0)
-    # (e1 * ((n1 - n0) / A) + e2 * ((n2 - n0) / A)) + n0, one rounding for each operation (packing.py).
+    # (e1 * ((n1 - n0) / A) + e2 * ((n2 - n0) / A)) + n0, one rounding for each operation (screen.py).
     near = triangles.inverse_depth.index_select(1, own)
     inverse_depth = (torch.stack([e1, e2]).to(torch.float64) * ((near[1:] - near[0]) / area)).sum(0) + near[0]
     depth = (inverse_depth * (1 << DEPTH_BITS)).to(torch.int64).clamp(0, LIMIT)
