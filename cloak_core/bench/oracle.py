@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from cloak_core.core.view import Screen
-from cloak_core.core.visibility.clipping import clip
+from cloak_core.core.visibility.projection import clip
 from cloak_core.core.visibility.screen import DEPTH_BITS, GRID
 
 

@@ -16,8 +16,8 @@ from torch import Tensor
 from cloak_core.core.cameras import Camera
 from cloak_core.core.geometry import vertex_normals
 from cloak_core.core.view import Fragments, View, Window
-from cloak_core.core.visibility.clipping import flatten
 from cloak_core.core.visibility.cpu.areas import visible_areas
+from cloak_core.core.visibility.projection import flatten
 from cloak_core.core.visibility.screen import GUARD
 from cloak_core.core.visibility.settings import Light
 from cloak_core.exchange.bodies import Bodies

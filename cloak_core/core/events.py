@@ -4,6 +4,7 @@ Every event has "type", "step" (updates done) and "time" (seconds of training so
 runs backwards, whatever the clock does).
 """
 
+import contextlib
 import json
 import os
 from collections.abc import Callable
@@ -45,9 +46,8 @@ def read_events(path: str | os.PathLike) -> list[Event]:
     events = []
     with open_regular(path, MAX_BYTES) as file:
         while line := file.readline(MAX_LINE):
-            event = _parse(line)
-            if event is not None:
-                events.append(event)
+            with contextlib.suppress(InputError):
+                events.append(parse_json(line, "an event"))
     return events
 
 
@@ -56,10 +56,3 @@ def rewind_events(path: Path, step: int) -> None:
     events = read_events(path) if path.exists() else []
     kept = [e for e in events if isinstance(e.get("step"), int) and e["step"] <= step and e.get("type") != "end"]
     write_bytes(path, b"".join(json.dumps(e).encode() + b"\n" for e in kept))
-
-
-def _parse(line: bytes) -> Event | None:
-    try:
-        return parse_json(line, "an event")
-    except InputError:
-        return None

@@ -37,14 +37,13 @@ def dressed(
     shifts: Int64[Tensor, "B 2"] | None = None,
 ) -> Canvas:
     """Put a pattern on B views before the backgrounds in `rows` (see `paint.blank`): a canvas that lacks colours."""
-    worn = [pattern.map(view.places, _offset(pattern, view)) for view in views]
+    worn = []
+    for view in views:
+        offset = (0.0, 0.0) if view.stream is None else pattern.draw_offset(np.random.default_rng(view.stream))
+        worn.append(pattern.map(view.places, offset))
     beside = [view.beside(own) for view, own in zip(views, worn, strict=True)]
     maps = [view.map @ own for view, own in zip(views, worn, strict=True)]
     return Canvas.of(beside, rows, shifts, maps)
-
-
-def _offset(pattern: Pattern, view: BakedView) -> tuple[float, float]:
-    return (0.0, 0.0) if view.stream is None else pattern.draw_offset(np.random.default_rng(view.stream))
 
 
 @dataclass(eq=False)

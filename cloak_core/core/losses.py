@@ -48,7 +48,8 @@ def person_loss(
     if kind == "log":
         best = -torch.log1p(-best.clamp(max=SURE))
     if kind == "margin":
-        best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - _logit(operating_point) + MARGIN)
+        point = min(max(operating_point, 1 - SURE), SURE)
+        best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - math.log(point / (1 - point)) + MARGIN)
     return best
 
 
@@ -95,8 +96,3 @@ def _variation(colors: np.ndarray, edges: np.ndarray, lengths: np.ndarray, gradi
             gradient[first, channel] += push
             gradient[second, channel] -= push
     return total
-
-
-def _logit(p: float) -> float:
-    p = min(max(p, 1 - SURE), SURE)
-    return math.log(p / (1 - p))

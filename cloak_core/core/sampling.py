@@ -70,10 +70,6 @@ class Sampler:
             self.images = min(self.images, max(1, round(settings.run.epochs * self.epoch_images)))
         self._plan: tuple[int, np.ndarray, np.ndarray, np.ndarray] | None = None
 
-    def epoch_of(self, step: int) -> float:
-        """Count the epochs finished before `step` (from 0)."""
-        return step * self.settings.run.batch / self.epoch_images
-
     def images_of(self, step: int) -> int:
         """Count the images of `step`: a batch, or what is left at the end."""
         batch = self.settings.run.batch

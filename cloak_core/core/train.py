@@ -71,11 +71,8 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
     batcher = Batcher(drawn, sampler, job.backgrounds, pattern, device)
     first = torch.from_numpy(job.first).to(device)
     with contextlib.ExitStack() as stack:
-
-        def enter_folder() -> RunFolder:
-            return stack.enter_context(open_run(out, job.config, pattern.cover, resume))
-
-        run = world.on_rank0(enter_folder) or RunFolder(out)
+        opened = open_run(out, job.config, pattern.cover, resume)
+        run = world.on_rank0(lambda: stack.enter_context(opened)) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
         objective = Objective(drawn, pattern, job.detectors, device, techniques)
         if search is None:

@@ -118,7 +118,8 @@ class TrainingLoop(Loop):
 
     def one_step(self) -> None:
         """See `Loop`: draw, paint, ask, loss, gradient, update."""
-        lr = learning_rate(self.settings.optimization, self.step, self.steps, self.sampler.epoch_of(self.step))
+        epochs = self.step * self.settings.run.batch / self.sampler.epoch_images
+        lr = learning_rate(self.settings.optimization, self.step, self.steps, epochs)
         self.optimizer.on_step(self.step, self.steps)
         batch = self.batches.batch(self.step)
         part = len(batch) / self.sampler.images_of(self.step)
@@ -136,7 +137,9 @@ class TrainingLoop(Loop):
             save_preview(path, step.images, next(iter(step.detections.values())), THRESHOLD)
             self.tell("preview", path=f"previews/{path.name}")
         if self.world.is_first and self.due(self.settings.run.snapshot_every):
-            self._write_snapshot()
+            colors = self.optimizer.finished()
+            picture = self.batcher.pattern.picture(_as_array(colors))
+            self.folder.write_snapshot(self.step, self._on_faces(colors), picture)
         self.figures = step.figures
 
     def _gradient(self, batch: Batch, part: float) -> Step:
@@ -190,10 +193,6 @@ class TrainingLoop(Loop):
         """See `Loop`."""
         self.optimizer.load(tensors)
         self.objective.ensemble.load(tensors)
-
-    def _write_snapshot(self) -> None:
-        colors = self.optimizer.finished()
-        self.folder.write_snapshot(self.step, self._on_faces(colors), self.batcher.pattern.picture(_as_array(colors)))
 
     def show(self) -> None:
         """See `Loop`: the colours, every now and then."""

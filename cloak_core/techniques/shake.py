@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from torch.overrides import TorchFunctionMode
 
 from cloak_core.core.technique import Technique
 
@@ -35,39 +36,28 @@ class Shake(Technique):
     def detector_context(self, number: int, step: int) -> contextlib.AbstractContextManager:
         """Shake detector `number` in `step`, by (seed, step, number)."""
         state = np.random.SeedSequence([self.seed, _STREAM, step, number]).generate_state(1, np.uint64)
-        return _shaking(self.reach, torch.Generator().manual_seed(int(state[0] >> 1)))
+        return _Shaking(self.reach, torch.Generator().manual_seed(int(state[0] >> 1)))
 
 
-def _shaking(reach: float, random: torch.Generator) -> contextlib.AbstractContextManager:
-    """Change what feature maps add up to while the block runs."""
-    from torch.overrides import TorchFunctionMode
-
-    shaker = _Shaker(reach, random)
-
-    class Shaking(TorchFunctionMode):
-        def __torch_function__(
-            self, function: Callable, types: object, args: tuple = (), kwargs: dict | None = None
-        ) -> object:
-            return shaker(function, args, kwargs or {})
-
-    return Shaking()
-
-
-class _Shaker:
-    """Calls torch's functions, their summands changed."""
+class _Shaking(TorchFunctionMode):
+    """Changes what feature maps add up to while the block runs."""
 
     def __init__(self, reach: float, random: torch.Generator) -> None:
+        super().__init__()
         self.reach = reach
         self.random = random
         # By where they lie, for a slice of all channels is still the same map; the tensors themselves are kept so that
         # no other comes to lie there.
         self._read: dict[int, torch.Tensor] = {}
 
-    def __call__(self, function: Callable, args: tuple, kwargs: dict) -> object:
+    def __torch_function__(
+        self, function: Callable, types: object, args: tuple = (), kwargs: dict | None = None
+    ) -> object:
+        """Call a function of torch, its summands changed."""
         name = getattr(function, "__name__", "")
         if name in _ADDITIONS and len(args) >= 2 and _are_maps(args[0], args[1]):
             args = (*self._branches(args[0], args[1]), *args[2:])
-        result = function(*args, **kwargs)
+        result = function(*args, **(kwargs or {}))
         if name in _READERS and args and isinstance(args[0], torch.Tensor):
             self._read[args[0].data_ptr()] = args[0]
         return result

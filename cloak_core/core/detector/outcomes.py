@@ -198,19 +198,13 @@ def only_hers(
     anywhere: images in which every box counts; masks: True on the person. Without masks the box of somebody half hidden
     behind her, of whom nobody told, lies within hers and is taken for her own.
     """
-    theirs = of_others(detections.boxes, bodies, others)
-    hers = found_as_person(detections.boxes, bodies, HERS, masks=masks) & ~theirs
+    boxes = detections.boxes
+    theirs = torch.zeros(boxes.shape[:2], dtype=torch.bool, device=boxes.device)
+    if others.shape[1]:
+        best = box_iou(boxes[:, :, None], others[:, None].to(boxes)).max(dim=2).values
+        theirs = (best >= THEIRS) & (best > box_iou(boxes, bodies[:, None].to(boxes)))
+    hers = found_as_person(boxes, bodies, HERS, masks=masks) & ~theirs
     if anywhere is not None:
         hers, theirs = hers | anywhere[:, None], theirs & ~anywhere[:, None]
     other = None if detections.other is None else torch.where(theirs, 0.0, detections.other)
     return detections._replace(scores=torch.where(hers, detections.scores, 0.0), other=other)
-
-
-def of_others(
-    boxes: Float[Tensor, "B N 4"], bodies: Float[Tensor, "B 4"], others: Float[Tensor, "B K 4"]
-) -> Bool[Tensor, "B N"]:
-    """Tell which boxes fit another known person, and better than the one that is meant."""
-    if not others.shape[1]:
-        return torch.zeros(boxes.shape[:2], dtype=torch.bool, device=boxes.device)
-    best = box_iou(boxes[:, :, None], others[:, None].to(boxes)).max(dim=2).values
-    return (best >= THEIRS) & (best > box_iou(boxes, bodies[:, None].to(boxes)))

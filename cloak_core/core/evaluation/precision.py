@@ -31,20 +31,15 @@ def average_precision(results: Results, rows: pd.DataFrame, overlaps: Sequence[f
     0.5 where an earlier version measured.
     """
     boxes = results.boxes_of(rows)
-    values = [
-        _of_training(boxes[(boxes["training"] == training).to_numpy()], len(own_rows), overlaps)
-        for training, own_rows in rows.groupby("training")
-    ]
+    values = []
+    for training, own_rows in rows.groupby("training"):
+        own = boxes[(boxes["training"] == training).to_numpy()]
+        score, iou, image, hit = (own[name].to_numpy() for name in ("score", "iou", "image", "hit"))
+        if np.isnan(iou).any() and set(overlaps) != {IOU}:
+            return math.nan
+        hits = (hit if overlap == IOU else first_hits(iou, image, overlap) for overlap in overlaps)
+        values.append(np.mean([average_precision_of(is_hit, score, len(own_rows)) for is_hit in hits]))
     return float(np.mean(values)) if values else math.nan
-
-
-def _of_training(boxes: pd.DataFrame, images: int, overlaps: Sequence[float]) -> float:
-    score, iou, image = (boxes[name].to_numpy() for name in ("score", "iou", "image"))
-    if np.isnan(iou).any() and set(overlaps) != {IOU}:
-        return math.nan
-    hit = boxes["hit"].to_numpy()
-    hits = (hit if overlap == IOU else first_hits(iou, image, overlap) for overlap in overlaps)
-    return float(np.mean([average_precision_of(is_hit, score, images) for is_hit in hits]))
 
 
 def first_hits(iou: Float[np.ndarray, " N"], image: Int64[np.ndarray, " N"], overlap: float) -> Bool[np.ndarray, " N"]:

@@ -102,21 +102,18 @@ def use_kernels(device: torch.device) -> bool:
     """
     if _kernels == "0" or use_loops(device) or (_kernels is None and device.type != "cuda"):
         return False
-    if not _is_triton_there():
-        if _kernels is None:
-            return False
+    if _kernels is None:
+        return _kernels_start(device)
+    if importlib.util.find_spec("triton") is None:
         raise InputError("CLOAK_TRITON=1: no package 'triton' is installed")
-    return _kernels is not None or _kernels_start(device)
-
-
-@cache
-def _is_triton_there() -> bool:
-    return importlib.util.find_spec("triton") is not None
+    return True
 
 
 @cache
 def _kernels_start(device: torch.device) -> bool:
     """Try one out: Triton needs a C compiler and Python's headers, which a machine that trains may lack."""
+    if importlib.util.find_spec("triton") is None:
+        return False
     try:
         importlib.import_module(f"{__package__}.fused").try_out(device)
     except Exception as error:  # whatever a compiler that is not there, or too old, makes of it

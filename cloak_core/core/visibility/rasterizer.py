@@ -15,9 +15,9 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from cloak_core.core.view import Cull, Fragments, Screen, Visibility, Window
-from cloak_core.core.visibility.clipping import flatten
 from cloak_core.core.visibility.compiled import backend
 from cloak_core.core.visibility.cpu.areas import visible_areas
+from cloak_core.core.visibility.projection import flatten
 from cloak_core.core.visibility.screen import EMPTY, GRID, ID_BITS
 from cloak_core.files.errors import InputError
 

@@ -14,9 +14,9 @@ import torch
 from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
-from cloak_core.core.baking import bake
 from cloak_core.core.cameras import Camera, Vector
 from cloak_core.core.geometry import outward_parts
+from cloak_core.core.paint import bake
 from cloak_core.core.places import corner_places
 from cloak_core.core.view import BakedView, Fragments, Screen, Surface, View, Visibility, Window
 from cloak_core.core.visibility.compiled import backend

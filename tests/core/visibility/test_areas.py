@@ -12,11 +12,11 @@ from cloak_core.bench.oracle import screen_of, visible_shares
 from cloak_core.bench.reference import matrix_of, reference
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import CrowdedPixels, Window
-from cloak_core.core.visibility.clipping import flatten
 from cloak_core.core.visibility.cpu import areas as area_loops
 from cloak_core.core.visibility.cpu.edge_hash import hash_corners
 from cloak_core.core.visibility.cpu.pieces import find_candidates, find_pieces
 from cloak_core.core.visibility.cpu.workspace import Mesh
+from cloak_core.core.visibility.projection import flatten
 from cloak_core.core.visibility.rasterizer import area_fragments, rasterize
 from cloak_core.core.visibility.screen import GRID
 from cloak_core.core.visibility.settings import Light, RenderSettings

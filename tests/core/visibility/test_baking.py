@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.baking import bake
 from cloak_core.core.linear import SparseMap
+from cloak_core.core.paint import bake
 from cloak_core.core.view import View
 from cloak_core.core.visibility.texture import look_up
 

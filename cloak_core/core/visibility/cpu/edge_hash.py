@@ -30,8 +30,9 @@ def hash_corners(x, y):
     hashes = np.empty((2, len(x)), np.int64)
     for i in range(len(x)):
         key = _START ^ (np.int64(y[i]) << 32) ^ x[i]
-        hashes[0, i] = _first(key)
-        hashes[1, i] = _second(key)
+        first = (key ^ (key >> 29)) * np.int64(_MIX)
+        second = (key ^ (key >> 31)) * np.int64(_OTHER)
+        hashes[0, i], hashes[1, i] = first ^ (first >> 32), second ^ (second >> 30)
     return hashes
 
 
@@ -60,15 +61,3 @@ def may_cross(x, y, a, b, at):
     left, top, side = column << shift, row << shift, 1 << shift
     across = (max(x[a], x[b]) > left) & (min(x[a], x[b]) < left + side)
     return across & (max(y[a], y[b]) > top) & (min(y[a], y[b]) < top + side)
-
-
-@inner
-def _first(key):
-    key = (key ^ (key >> 29)) * np.int64(_MIX)
-    return key ^ (key >> 32)
-
-
-@inner
-def _second(key):
-    key = (key ^ (key >> 31)) * np.int64(_OTHER)
-    return key ^ (key >> 30)
