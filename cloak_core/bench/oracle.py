@@ -2,7 +2,7 @@
 
 Slow and obviously right; the tests and `cloak bench stability` hold the rasterizer against it. Edge functions of
 snapped coordinates stay below 2^62, so int64 is exact. The depth of a covered sample is worked out in Python floats,
-one operation after the other, by the formula that `visibility.packing` documents.
+one operation after the other, by the formula that `visibility.screen` documents.
 
 `visible_shares` has areas: every triangle is cut to every pixel (Sutherland-Hodgman), then the part that each other
 triangle hides is cut away, polygon by polygon. The greater inverse depth is nearer, of equal ones the lower index.
