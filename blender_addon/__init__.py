@@ -22,9 +22,9 @@ from .training import run_list
 from .ui import drawing
 
 WITH_CLASSES = (
-    *("trainer.operators", "body.operators", "logo.operators", "logo.paint"),
-    *("training.detectors", "training.operators", "result.operators", "result.outputs", "result.judging"),
-    *("trainer.panel", "body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel"),
+    *("trainer.panel", "body.panel", "logo.operators", "logo.paint", "training.detectors", "training.operators"),
+    *("result.operators", "result.outputs", "result.judging"),
+    *("logo.panel", "poses.panel", "training.panel", "result.panel"),
 )
 """Modules whose classes are registered, in the order of the panels."""
 ROOMS = (properties, run_list)  # modules that register something before the classes

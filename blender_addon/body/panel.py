@@ -1,20 +1,112 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panel of step 1: the mesh that wears the logo."""
+"""Step 1, the mesh that wears the logo: its operators, and its panel."""
+
+import shutil
+from pathlib import Path
 
 import bpy
 
-from ..blender.faces import logo_names
-from ..trainer.program import trainer_reason
+from ..blender.evaluated import applied_copy
+from ..blender.faces import active_logo, logo_names, write_faces
+from ..blender.mesh_arrays import require_object_mode
+from ..exchange.scenes import read_scene
+from ..files.errors import InputError
+from ..trainer.jobs import Job, run_cloak
+from ..trainer.program import SAMPLES, sample_words, trainer_reason, user_folder
 from ..translations import said
-from ..ui.panel_parts import CloakPanel, wrapped
-from .garments import wearable
-from .objects import active_body, body_reason
+from ..ui import props
+from ..ui.bases import BodyOperator, CloakOperator, CloakPanel, push_undo, wrapped
+from ..ui.window import areas, main_region
+from .garments import faces_over, wearable
+from .objects import ASSETS, CLOTHES, active_body, add_people, body_reason, logo_reason, subdivide
 
 UNSEEN = (
     "The camera does not see {}: it sees meshes alone (Object > Convert > Mesh; of an instance, Object > Apply > Make "
     "Instances Real)"
 )
 MOST_WORN = 8  # most worn objects to list
+
+
+class CLOAK_OT_subdivide(BodyOperator, label="Subdivide Body"):
+    """Split every face of the body in place (Simple, one level), so that the cloak has more and smaller faces. Shape \
+keys, weights, materials, UVs and logos are kept"""
+
+    triangulate: props.switch("Triangulate", "Also split every face into triangles", True)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.triangulate = context.scene.cloak.triangulate
+        return self.execute(context)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        before, after = subdivide(obj, self.triangulate)
+        return f"'{obj.name}': {before:,} faces became {after:,}"
+
+
+class CLOAK_OT_apply_copy(BodyOperator, label="Apply a Copy"):
+    """Make a copy of the body with the modifiers applied that make new faces, and hide the original. Deforming \
+modifiers stay; shape keys end in their present mix"""
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        require_object_mode(obj, "Leave {mode} to apply modifiers")
+        copy = applied_copy(context, obj)
+        return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
+
+
+class CLOAK_OT_add_sample_body(CloakOperator, label="Add Sample Body", told_by="people"):
+    """Add Cloak's own people, one pose a frame, with named regions as logos: standing in clothing that is painted on, \
+or walking and running in a shirt and trousers that are objects of their own"""
+
+    people: props.choice(
+        "People",
+        "Whom to add",
+        ("BARE", "Sample Body", "Standing people of varied shape, in clothing that is painted on"),
+        ("CLOTHED", "Clothed", "People who walk, run and stand in shirt and trousers"),
+    )
+
+    def run(self, context: bpy.types.Context) -> str:
+        if self.people == "BARE" and trainer_reason() and (ASSETS / "sample").is_dir():
+            return _add(None, ASSETS / "sample", self.people)
+        folder, people = user_folder("sample"), self.people
+        scene = folder / "scene"
+        shutil.rmtree(scene, ignore_errors=True)
+        words, add = sample_words(scene, people), lambda job: _add(job, scene, people)
+        waits = run_cloak("Sample body", words, folder, "sample", add)
+        return f"Fetching the sample body from the trainer{waits}"
+
+
+def _add(job: Job | None, scene: Path, people: str) -> str:
+    bodies, clothed = read_scene(scene), people == "CLOTHED"
+    obj = add_people(bpy.context, bodies, clothed, "Sample Body")
+    obj.cloak.made_from = f"{SAMPLES[people]}|{bodies.topology}"
+    for window, area in areas("VIEW_3D") if not bpy.app.background else ():
+        with bpy.context.temp_override(window=window, area=area, region=main_region(area)):
+            bpy.ops.view3d.view_selected()
+    settings = bpy.context.scene.cloak
+    settings.pose_source, settings.frame_step = "RANGE", 1
+    settings.frame_start, settings.frame_end = 1, bodies.pose_count
+    logo = CLOTHES if clothed else "chest"
+    if logo in logo_names(obj.data):
+        obj.cloak.logo = logo
+    push_undo("Add Sample Body")
+    worn = [f"{o.name}: {len(o.data.polygons):,} faces" for o in (obj, *obj.children)]
+    return f"Added {', '.join(worn)}"
+
+
+class CLOAK_OT_logo_onto(BodyOperator, label="Put the Logo on It", needs=logo_reason):
+    """Let the logo go on over this piece: make a logo of the same name of the faces that lie over it"""
+
+    garment: props.text("Piece", "Name of what covers the logo")
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        worn = next((o for o in wearable(obj) if o.name == self.garment), None)
+        if worn is None:
+            raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
+        logo = active_logo(obj)
+        mask = faces_over(context, obj, worn, logo)
+        if not mask.any():
+            raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
+        write_faces(worn, logo, mask)
+        return f"Logo '{logo}' goes on over {int(mask.sum()):,} faces of '{worn.name}'"
 
 
 class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):

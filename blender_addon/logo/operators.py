@@ -26,7 +26,7 @@ from ..properties import pose_choice, train_options
 from ..trainer.jobs import Job, run_cloak
 from ..trainer.program import user_folder
 from ..ui import props
-from ..ui.operator import BodyOperator, CloakOperator, push_undo
+from ..ui.bases import BodyOperator, CloakOperator, push_undo
 
 
 def selected_faces(obj: bpy.types.Object) -> np.ndarray:

@@ -18,7 +18,7 @@ from ..body.garments import worn_by
 from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
 from ..ui import props
-from ..ui.operator import BodyOperator
+from ..ui.bases import BodyOperator
 from ..ui.window import main_region, show_progress
 from . import stamp
 from .operators import take

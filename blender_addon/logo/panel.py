@@ -8,7 +8,7 @@ from ..blender.colors import shows
 from ..blender.marks import HEAT, HEATMAP, layer_name
 from ..body.objects import active_body, body_reason, logo_reason
 from ..translations import said
-from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
+from ..ui.bases import CloakPanel, figure, settings_column, wrapped
 from . import overlay
 from .overlay import PAINT
 
@@ -35,15 +35,9 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
     def draw(self, context: bpy.types.Context) -> None:
         reason = body_reason(context)
         column = self.gate(context, reason)
-        if not reason:
-            self._list(column, active_body(context))
-            if logo_reason(context):
-                column.operator("cloak.logo_stamp", text="Stamp New Logo", icon="SORTALPHA").add = False
-            self._stats(column, active_body(context))
-            column.prop(context.scene.cloak, "tint")
-
-    def _list(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
-        row = column.row()
+        if reason:
+            return
+        obj, row = active_body(context), column.row()
         row.template_list("CLOAK_UL_logos", "", obj.data, "attributes", obj.cloak, "logo_index", rows=2)
         side = row.column(align=True)
         side.operator("cloak.logo_new", text="", icon="ADD")
@@ -52,6 +46,10 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         row = column.row(align=True)
         for name in ("assign", "unassign", "select"):
             row.operator(f"cloak.logo_{name}")
+        if logo_reason(context):
+            column.operator("cloak.logo_stamp", text="Stamp New Logo", icon="SORTALPHA").add = False
+        self._stats(column, obj)
+        column.prop(context.scene.cloak, "tint")
 
     def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
         stats = overlay.active_stats(obj)

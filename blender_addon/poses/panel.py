@@ -5,7 +5,7 @@ import bpy
 
 from ..blender.evaluated import modifiers_reason
 from ..body.objects import active_body, body_reason
-from ..ui.panel_parts import CloakPanel, wrapped
+from ..ui.bases import CloakPanel, wrapped
 from .export import export_summary, poses_reason
 from .poses import lying_warning
 

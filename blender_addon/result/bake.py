@@ -65,8 +65,7 @@ def bake(obj: bpy.types.Object, size: int) -> Baked:
         if off > FEW * len(wanted):
             before, users = off, None
     if users is None:
-        name = make_own_map(obj, size)
-        pixels = squares(len(wanted), size, wanted)
+        name, pixels = _on_own_map(obj, wanted, size)
         off = faces_off(mesh, name, pixels, wanted)
     show_progress(0.6)
     _sew(mesh, name, pixels)
@@ -120,34 +119,26 @@ def _sew(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray) -> None:
     pixels[y, x, :3] = pixels_at(image_pixels(image), (sewn * weights[..., None]).sum(1))[:, :3]
 
 
-def squares_along(count: int, size: int) -> int:
-    """Number of squares in a row; raise `InputError` if they would be too small."""
-    side = int(np.ceil(count**0.5))
-    if size // side < FEWEST:
-        raise InputError(f"{count:,} faces need at least {FEWEST * side} texels along each side: raise Size")
-    return side
+def _on_own_map(obj: bpy.types.Object, wanted: np.ndarray, size: int) -> tuple[str, np.ndarray]:
+    """A UV map of ours with a square of texels for each face, its corners half a texel inside; and the image [S, S, 4].
 
-
-def make_own_map(obj: bpy.types.Object, size: int) -> str:
-    """Give each face a square of texels on a UV map of ours, its corners half a texel inside; returns its name."""
-    mesh = obj.data
-    counts = corner_counts(mesh)
-    side, face = squares_along(len(counts), size), np.repeat(np.arange(len(counts)), counts)
-    step, turn = size // side, np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
+    Raises `InputError` where the squares would be too small.
+    """
+    counts = corner_counts(obj.data)
+    side = int(np.ceil(len(counts) ** 0.5))
+    step = size // side
+    if step < FEWEST:
+        raise InputError(f"{len(counts):,} faces need at least {FEWEST * side} texels along each side: raise Size")
+    face = np.repeat(np.arange(len(counts)), counts)
+    turn = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
     angle = 2 * np.pi * (turn + 0.5) / counts[face]
     around = np.stack([np.cos(angle), np.sin(angle)], -1)
     around /= np.abs(around).max(1, keepdims=True)  # from a circle onto the square
     middle = (np.stack([face % side, face // side], -1) + 0.5) * step
-    places = (middle + around * (step / 2 - 0.5)) / size
-    return lay_uv(obj, UV_MAP, places)
-
-
-def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
-    """[S, S, 4]: each face's colour in its square."""
-    side = squares_along(count, size)
-    square = np.minimum(np.arange(size, dtype=np.int32) // (size // side), side - 1)
-    face = np.minimum(square[:, None] * np.int32(side) + square, count - 1)
-    return np.append(wanted, np.ones((count, 1), np.float32), axis=1)[face]
+    name = lay_uv(obj, UV_MAP, (middle + around * (step / 2 - 0.5)) / size)
+    along = np.minimum(np.arange(size, dtype=np.int32) // step, side - 1)
+    face_of_texel = np.minimum(along[:, None] * np.int32(side) + along, len(counts) - 1)
+    return name, np.append(wanted, np.ones((len(wanted), 1), np.float32), axis=1)[face_of_texel]
 
 
 def rasterize(

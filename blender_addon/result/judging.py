@@ -25,7 +25,7 @@ from ..training import run_list, runs
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
 from ..translations import said
-from ..ui.operator import CloakOperator
+from ..ui.bases import CloakOperator
 from ..ui.window import areas, in_window, main_region, redraw, tell_status
 from . import eye, render_check
 from .evaluations import (
@@ -41,16 +41,15 @@ from .evaluations import (
 from .render_check import last_verdicts
 
 
-@of_the_body
-def check_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why the cloak cannot be checked in Cycles."""
-    if not is_dressed(obj):
-        return f"'{obj.name}' shows its own materials: switch the cloak on first"
-    return judged_reason(context) or refusal(judges, context.scene.cloak)
-
-
-class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason, trains=True):
+class CLOAK_OT_render_check(CloakOperator, label="Render Check", trains=True):
     """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
+
+    @staticmethod
+    @of_the_body
+    def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        if not is_dressed(obj):
+            return f"'{obj.name}' shows its own materials: switch the cloak on first"
+        return judged_reason(context) or refusal(judges, context.scene.cloak)
 
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak
@@ -80,17 +79,16 @@ AROUND = 180  # an evaluation all around goes this many degrees to either side
 BARE = 256  # most empty backgrounds that are checked for false alarms
 
 
-def evaluate_reason(context: bpy.types.Context) -> str:
-    """Why the body's run cannot be evaluated."""
-    judging = context.scene.cloak.judging
-    reason = judged_reason(context) or (poses_reason(context, judging.frames) if judging.frames else "")
-    folder = absolute(judging.backgrounds)
-    return reason or ("" if not folder or Path(folder).is_dir() else f"Backgrounds folder {folder} does not exist")
-
-
-class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason, trains=True):
+class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", trains=True):
     """Measure the run's colours on bodies, backgrounds and angles that training did not see, all around the body, \
 beside controls on the same images. The result is shown here and as a ring around the body"""
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        judging = context.scene.cloak.judging
+        reason = judged_reason(context) or (poses_reason(context, judging.frames) if judging.frames else "")
+        folder = absolute(judging.backgrounds)
+        return reason or ("" if not folder or Path(folder).is_dir() else f"Backgrounds folder {folder} does not exist")
 
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak

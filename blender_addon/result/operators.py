@@ -38,7 +38,7 @@ from ..training import runs
 from ..training.runs import first_pose, run_of
 from ..translations import said
 from ..ui import props
-from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
+from ..ui.bases import WITH_UNDO, BodyOperator, CloakOperator
 from .evaluations import result_reason
 
 LIBRARY = ASSETS / "library"  # of the built extension
@@ -48,16 +48,6 @@ INWARDS = (0.0, 0.35, 0.7)  # shares of the way from a face's middle to its corn
 def wear_reason(context: bpy.types.Context) -> str:
     """Why the body cannot be given, or be rid of, the colours."""
     return result_reason(context) or mode_reason(active_body(context), "Leave {mode} to see the colours on the model")
-
-
-@of_the_body
-def report_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why there is no report to open."""
-    run = run_of(obj)
-    if run is None:
-        return "Choose a run in the list first"
-    known = (run / "report.html").is_file() or (run / "config.json").is_file()
-    return "" if known else f"{run}: not a run folder (no config.json in it), so there is nothing to report"
 
 
 class CLOAK_OT_result_load(BodyOperator, label="Load Colours", needs=wear_reason):
@@ -133,8 +123,17 @@ class CLOAK_OT_use_standard_view(CloakOperator, label="Use Standard"):
         return "View transform: Standard" + (", flat light" if lit else "")
 
 
-class CLOAK_OT_open_report(CloakOperator, label="Open Report", needs=report_reason, trains=True):
+class CLOAK_OT_open_report(CloakOperator, label="Open Report", trains=True):
     """Open the run's report in the web browser, after making it if need be"""
+
+    @staticmethod
+    @of_the_body
+    def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        run = run_of(obj)
+        if run is None:
+            return "Choose a run in the list first"
+        known = (run / "report.html").is_file() or (run / "config.json").is_file()
+        return "" if known else f"{run}: not a run folder (no config.json in it), so there is nothing to report"
 
     def run(self, context: bpy.types.Context) -> str:
         run = run_of(active_body(context))
@@ -154,17 +153,16 @@ def _open(report: Path) -> str:
 # --- cloths that were not trained here: a picture is worn as what a training would have left --------------------------
 
 
-def picture_reason(context: bpy.types.Context) -> str:
-    """Why no picture can be worn."""
-    return logo_reason(context) or poses_reason(context, PoseChoice())
-
-
-class CLOAK_OT_cloth_picture(CloakOperator, ImportHelper, label="Picture as Cloth", needs=picture_reason):
+class CLOAK_OT_cloth_picture(CloakOperator, ImportHelper, label="Picture as Cloth"):
     """Wear a picture as cloth that repeats, on the active logo: to compare it with what was trained"""
 
     bl_options = WITH_UNDO
     filter_glob: StringProperty(default="*.png;*.jpg;*.jpeg;*.webp", options={"HIDDEN"})
     width: props.number("Width", "After how many metres it repeats", 0.25, min=0.01, max=10.0)
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return logo_reason(context) or poses_reason(context, PoseChoice())
 
     def run(self, context: bpy.types.Context) -> str:
         obj, logo, path = active_body(context), active_logo(active_body(context)), Path(self.filepath)
@@ -211,23 +209,22 @@ def _means(bodies: Bodies, metres: float, pixels: np.ndarray) -> np.ndarray:
 # --- the asset library ------------------------------------------------------------------------------------------------
 
 
-@of_the_body
-def lay_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why no ready cloth can be laid onto the body."""
-    if ready_cloth(obj) is None:
-        return "Give the body a cloth first: drag one from the Asset Browser, library Cloak, onto it"
-    return mode_reason(obj, "Leave {mode} to lay the cloth")
-
-
 def ready_cloth(obj: bpy.types.Object) -> bpy.types.Material | None:
     """A material of the library that an object shows, the active one first."""
     shown = (obj.active_material, *obj.data.materials)
     return next((material for material in shown if material and METRES in material and cloth_of(material)), None)
 
 
-class CLOAK_OT_lay_cloth(BodyOperator, label="Lay Cloth at True Size", needs=lay_reason):
+class CLOAK_OT_lay_cloth(BodyOperator, label="Lay Cloth at True Size"):
     """Make the UV map of the ready cloths, on which they are as large as they are printed: front, back \
 and sides are projected, as the trainer lays a cloth"""
+
+    @staticmethod
+    @of_the_body
+    def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        if ready_cloth(obj) is None:
+            return "Give the body a cloth first: drag one from the Asset Browser, library Cloak, onto it"
+        return mode_reason(obj, "Leave {mode} to lay the cloth")
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         material = ready_cloth(obj)

@@ -21,7 +21,7 @@ from ..trainer.jobs import run_cloak
 from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
-from ..ui.operator import BodyOperator, CloakOperator
+from ..ui.bases import BodyOperator, CloakOperator
 from ..ui.window import progress_cursor
 from . import bake
 from .evaluations import export_worn, judged_reason
@@ -57,16 +57,12 @@ def write_camera(context: bpy.types.Context, path: Path, pivot: np.ndarray) -> N
     finally:
         scene.frame_set(frame, subframe=subframe)
     seconds = (np.array(frames) - frames[0]) * scene.render.fps_base / scene.render.fps
-    write_text(path, keyframes(seconds, np.array(places) - pivot))
-
-
-def keyframes(seconds: np.ndarray, away: np.ndarray) -> str:
-    """Format camera keyframes as CSV, from times [n] and camera positions [n, 3] relative to the pivot."""
+    away = np.array(places) - pivot
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-3)
     azimuth = np.degrees(np.unwrap(np.arctan2(away[:, 0], away[:, 2])))
     elevation = np.degrees(np.arcsin(np.clip(away[:, 1] / distance, -1, 1)))
-    rows = zip(seconds, azimuth, elevation, distance, strict=True)
-    return "time,azimuth,elevation,distance\n" + "".join(",".join(f"{x:.4f}" for x in row) + "\n" for row in rows)
+    rows = (",".join(f"{x:.4f}" for x in row) for row in zip(seconds, azimuth, elevation, distance, strict=True))
+    write_text(path, "\n".join(["time,azimuth,elevation,distance", *rows, ""]))
 
 
 def film_reason(context: bpy.types.Context) -> str:

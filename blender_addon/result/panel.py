@@ -14,8 +14,8 @@ from ..session import session
 from ..training import run_list
 from ..training.runs import run_of
 from ..translations import said
+from ..ui.bases import CloakPanel, figure, settings_column, wrapped
 from ..ui.drawing import icon_of, short
-from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import eye
 from .evaluations import CONTROLS, THRESHOLD, Judged, last_worn, result_reason
 from .operators import ready_cloaks

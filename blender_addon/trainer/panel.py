@@ -1,20 +1,83 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel on top: the program that trains, and the jobs that run."""
+"""The panel on top, the program that trains and the jobs that run; operators that test it and say how to get one."""
+
+import json
 
 import bpy
 
+from ..files.errors import InputError
+from ..files.specs import reach
 from ..session import session
 from ..translations import said
-from ..ui.panel_parts import CloakPanel, figure, wrapped
+from ..ui import props
+from ..ui.bases import CloakOperator, CloakPanel, figure, wrapped
 from ..ui.window import tool_at_work
-from .jobs import TrainingJob
-from .program import PACKAGE, preferences, trainer_reason
+from .jobs import Job, TrainingJob, last_words, launch
+from .program import PACKAGE, allow, cloak_command, install_line, preferences, trainer, trainer_reason, user_folder
 
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences choose and test it"
 FIGURES = (
     "Loss: what training makes small, of the last step. Success: the share of the last training images in which the "
     "detector does not report the body, a running mean"
 )
+
+
+class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer"):
+    """Start the trainer and show its version and device"""
+
+    def run(self, context: bpy.types.Context) -> str:
+        command = cloak_command(trainer(), "setup")
+        preferences().answer = "Starting the trainer..."
+
+        def ended(job: Job) -> str:
+            try:
+                record = json.loads(job.outputs[-1]) if job.state == "done" else {}
+                answer = "Cloak {cloak}, torch {torch}, Python {python}, {device}".format(**record)
+            except (ValueError, KeyError, TypeError, IndexError):
+                answer = f"The trainer does not work: {last_words(job.log) or 'no answer'}"
+                job.state = "failed"
+            preferences().answer = answer
+            return answer
+
+        job = Job("Test", [command], user_folder("test"), "test", ended)
+        job.lane = "Test"
+        launch(job)
+        return "Testing the trainer: the answer appears in the preferences"
+
+
+class CLOAK_OT_copy_install_line(CloakOperator, label="Copy Installation Line"):
+    """Copy the line that installs the trainer to the clipboard"""
+
+    def run(self, context: bpy.types.Context) -> str:
+        context.window_manager.clipboard = install_line(preferences().wheel)
+        return "Copied: paste it into a terminal"
+
+
+class CLOAK_OT_allow(CloakOperator, label="Use What This File Names"):
+    """Let the named detectors be used, as they are now, until Blender is closed"""
+
+    specs: props.text("", "", options={"HIDDEN", "SKIP_SAVE"})  # a line each
+    then: props.text("", "", options={"HIDDEN", "SKIP_SAVE"})  # the class of the operator that asked
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_props_dialog(self, width=600, cancel_default=True)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        for spec in self.specs.split("\n"):
+            runs = reach(spec) == "runs code"
+            self.layout.label(
+                text="This runs code with all your rights:" if runs else "This asks the network:", icon="ERROR"
+            )
+            self.layout.label(text=spec, translate=False)
+        self.layout.label(text="Only where you trust whoever made this file or folder")
+
+    def run(self, context: bpy.types.Context) -> str:
+        allow(self.specs.split("\n"))
+        try:
+            getattr(bpy.ops.cloak, self.then.removeprefix("CLOAK_OT_"))("INVOKE_DEFAULT")
+        except RuntimeError as error:  # what that operator reported
+            raise InputError(str(error).strip()) from None
+        return ""
 
 
 class CLOAK_PT_jobs(CloakPanel, label="Jobs"):

@@ -27,17 +27,11 @@ class Progress:
     def fraction(self) -> float:
         return min(1.0, self.step / self.steps) if self.steps else 0.0
 
-    @property
-    def seconds_left(self) -> float | None:
-        if self.seconds_per_step is None or not self.steps:
-            return None
-        return max(0, self.steps - self.step) * self.seconds_per_step
-
     def describe(self) -> str:
         """Steps and time left, as far as they are known."""
         text = f"{self.step}/{self.steps or '?'}"
-        if self.seconds_left is not None and self.step < self.steps:
-            text += f", {duration(self.seconds_left)} left"
+        if self.seconds_per_step is not None and self.step < self.steps:
+            text += f", {duration((self.steps - self.step) * self.seconds_per_step)} left"
         return text
 
     def figures(self) -> str:

@@ -17,7 +17,7 @@ from ..trainer.jobs import Job, launch, waits
 from ..trainer.program import allow, cloak_command, trainer, user_folder
 from ..trainer.progress import finite
 from ..ui import props
-from ..ui.operator import WITH_UNDO, CloakOperator, push_undo
+from ..ui.bases import WITH_UNDO, CloakOperator, push_undo
 
 BUILTIN = "builtin"
 FAMILIES = {

@@ -17,7 +17,7 @@ from ..session import session
 from ..trainer.jobs import Job, TrainingJob, launch, waits
 from ..trainer.program import differing_options, require, train_command, trainer
 from ..ui import props
-from ..ui.operator import WITH_UNDO, CloakOperator
+from ..ui.bases import WITH_UNDO, CloakOperator
 from . import run_list, runs
 from .run_list import DONE, RUNNING, FoundTrainer, RunState, read_state
 from .runs import run_of

@@ -9,7 +9,7 @@ from ..body.objects import active_body, body_reason, logo_reason, refusal
 from ..files.specs import without_folders
 from ..session import session
 from ..translations import said
-from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
+from ..ui.bases import CloakPanel, figure, settings_column, wrapped
 from . import run_list
 from .detectors import active_detector, judges
 from .operators import kept_reason, train_reason

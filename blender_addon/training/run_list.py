@@ -79,12 +79,6 @@ def find_runs(place: Path) -> list[Path]:
     return sorted(shown, key=lambda run: _stamp(folders[run]), reverse=True)[:MOST_RUNS]
 
 
-def is_running(run: Path) -> bool:
-    """Whether a trainer works in this folder, started here or elsewhere."""
-    # The lock is not asked while a trainer of ours is just starting: it must not find it taken.
-    return session.training_of(run) is not None or is_held(run / ".lock")
-
-
 _kept: dict[Path, tuple[tuple, RunState]] = {}
 
 
@@ -97,7 +91,9 @@ def read_state(run: Path) -> RunState:
     if kept is None or kept[0] != stamps:
         kept = _kept[run] = stamps, _read(run)
     state = replace(kept[1], checks=last_verdicts(side_folder(run)))
-    return replace(state, state=RUNNING, why="") if is_running(run) else state
+    # The lock is not asked while a trainer of ours is just starting: it must not find it taken.
+    runs_now = session.training_of(run) is not None or is_held(run / ".lock")
+    return replace(state, state=RUNNING, why="") if runs_now else state
 
 
 def _stamp(path: Path) -> tuple[int, int]:

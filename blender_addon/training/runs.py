@@ -35,7 +35,7 @@ from ..poses.export import RECORD, Export, read_export
 from ..session import session
 from ..trainer.jobs import Job
 from ..trainer.program import OPTIONS
-from ..ui.operator import push_undo
+from ..ui.bases import push_undo
 
 
 def run_of(obj: bpy.types.Object) -> Path | None:

@@ -79,7 +79,7 @@ def steps():
     import cloak
     import cloak.logo.overlay as overlay
     from cloak.blender import faces
-    from cloak.ui.operator import CloakOperator
+    from cloak.ui.bases import CloakOperator
     from made import make_egg, make_fine_egg
 
     tidy()

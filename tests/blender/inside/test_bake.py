@@ -8,7 +8,7 @@ import pytest
 from cloak.blender import colors, occlusion
 from cloak.blender.pictures import image_pixels
 from cloak.result import bake, outputs
-from cloak.ui import operator
+from cloak.ui import bases
 from made import make_egg
 
 
@@ -49,7 +49,7 @@ def test_each_face_finds_its_colour_in_the_image():
     assert np.abs(colors.own_face_colors(obj) - trained).max() < 1.01 / 255  # it shows what was baked
 
 
-@pytest.mark.parametrize(("name", "module"), [("bake", operator), ("export_glb", outputs)])
+@pytest.mark.parametrize(("name", "module"), [("bake", bases), ("export_glb", outputs)])
 def test_while_it_bakes_the_mouse_pointer_counts_up(monkeypatch, tmp_path, name, module):
     obj, _ = dressed_egg()
     unwrap(obj)

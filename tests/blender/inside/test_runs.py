@@ -270,9 +270,9 @@ def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_t
         [str(real_trainer), "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     assert holder.stdout.readline() == b"held\n"
-    assert run_list.is_running(tmp_path)
+    assert run_list.read_state(tmp_path).state == "running"
     holder.communicate(timeout=120)
-    assert not run_list.is_running(tmp_path)
+    assert run_list.read_state(tmp_path).state == "failed"
 
 
 def test_a_found_training_that_dies_has_no_invented_exit_code(orphan):
