@@ -15,15 +15,33 @@ def link(mesh: bpy.types.Mesh, name: str = "Body") -> bpy.types.Object:
 
 
 def make_egg(rings: int = 24, height: float = 1.8, name: str = "Body") -> bpy.types.Object:
-    """A closed body as tall as a person: quads with triangle fans at both poles, symmetric in X."""
-    bm = bmesh.new()
-    bmesh.ops.create_uvsphere(bm, u_segments=2 * rings, v_segments=rings, radius=1.0)
-    bmesh.ops.scale(bm, vec=(0.35, 0.25, height / 2), verts=bm.verts)
-    bmesh.ops.translate(bm, vec=(0, 0, height / 2), verts=bm.verts)
+    """A closed body as tall as a person, made in an instant: quads with triangle fans at both poles, symmetric in X."""
+    turn = np.arange(2 * rings)
+    tilt, angle = np.pi * np.arange(1, rings)[:, None] / rings, np.pi * turn / rings
+    rim = np.sin(tilt) * np.stack([0.35 * np.cos(angle), 0.25 * np.sin(angle)])[:, None]
+    half = height / 2
+    points = np.stack([*rim, np.broadcast_to(half - half * np.cos(tilt), rim[0].shape)], -1).reshape(-1, 3)
+    ahead, below = (turn + 1) % len(turn), np.arange(rings - 2)[:, None] * len(turn)
+    quads = np.stack([below + turn, below + ahead, below + len(turn) + ahead, below + len(turn) + turn], -1)
+    low, high = np.full(len(turn), len(points)), np.full(len(turn), len(points) + 1)
+    top = (rings - 2) * len(turn)
+    loops = [quads, np.stack([low, ahead, turn], -1), np.stack([high, top + turn, top + ahead], -1)]
+    counts = np.concatenate([np.full(quads.size // 4, 4), np.full(2 * len(turn), 3)])
     mesh = bpy.data.meshes.new(name)
-    bm.to_mesh(mesh)
-    bm.free()
+    mesh.vertices.add(len(points) + 2)
+    mesh.vertices.foreach_set("co", np.concatenate([points, [[0, 0, 0], [0, 0, height]]]).astype(np.float32).ravel())
+    mesh.loops.add(int(counts.sum()))
+    mesh.loops.foreach_set("vertex_index", np.concatenate([loop.ravel() for loop in loops]).astype(np.int32))
+    mesh.polygons.add(len(counts))
+    mesh.polygons.foreach_set("loop_start", (np.cumsum(counts) - counts).astype(np.int32))
+    mesh.update(calc_edges=True)
+    assert not mesh.validate()
     return link(mesh, name)
+
+
+def make_fine_egg(faces: int, name: str = "Fine") -> bpy.types.Object:
+    """The egg with about this many faces."""
+    return make_egg(round((faces / 2) ** 0.5), name=name)
 
 
 def add_ngons(obj: bpy.types.Object, every: int = 7) -> None:
@@ -50,31 +68,6 @@ def make_grid(faces: int = 55_000, name: str = "Grid") -> bpy.types.Object:
     triangles = np.concatenate([np.stack([a, a + 1, a + side + 1], -1), np.stack([a, a + side + 1, a + side], -1)])
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(points.tolist(), [], triangles.tolist())
-    return link(mesh, name)
-
-
-def make_fine_egg(faces: int, name: str = "Fine") -> bpy.types.Object:
-    """The egg with about so many faces, in an instant: quads with triangle fans at both poles, symmetric in X."""
-    rings = round((faces / 2) ** 0.5)
-    turn = np.arange(2 * rings)
-    tilt, angle = np.pi * np.arange(1, rings)[:, None] / rings, np.pi * turn / rings
-    rim = np.sin(tilt) * np.stack([0.35 * np.cos(angle), 0.25 * np.sin(angle)])[:, None]
-    points = np.stack([*rim, np.broadcast_to(0.9 - 0.9 * np.cos(tilt), rim[0].shape)], -1).reshape(-1, 3)
-    ahead, below = (turn + 1) % len(turn), np.arange(rings - 2)[:, None] * len(turn)
-    quads = np.stack([below + turn, below + ahead, below + len(turn) + ahead, below + len(turn) + turn], -1)
-    low, high = np.full(len(turn), len(points)), np.full(len(turn), len(points) + 1)
-    top = (rings - 2) * len(turn)
-    loops = [quads, np.stack([low, ahead, turn], -1), np.stack([high, top + turn, top + ahead], -1)]
-    counts = np.concatenate([np.full(quads.size // 4, 4), np.full(2 * len(turn), 3)])
-    mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(len(points) + 2)
-    mesh.vertices.foreach_set("co", np.concatenate([points, [[0, 0, 0], [0, 0, 1.8]]]).astype(np.float32).ravel())
-    mesh.loops.add(int(counts.sum()))
-    mesh.loops.foreach_set("vertex_index", np.concatenate([loop.ravel() for loop in loops]).astype(np.int32))
-    mesh.polygons.add(len(counts))
-    mesh.polygons.foreach_set("loop_start", (np.cumsum(counts) - counts).astype(np.int32))
-    mesh.update(calc_edges=True)
-    assert not mesh.validate()
     return link(mesh, name)
 
 
