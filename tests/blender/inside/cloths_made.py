@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from cloak.blender import pictures
-from test_colors import made_run
+from made import made_run
 
 SQUARES, METRES = 8, 0.4
 

@@ -168,13 +168,10 @@ def red_faces(obj: bpy.types.Object) -> list[int]:
 @pytest.fixture
 def dressed(stub: Path, tmp_path: Path) -> bpy.types.Object:
     """A body that wears a run's colours."""
-    from made import make_egg
-    from test_colors import made_run
+    from made import body_of_a_run
 
-    obj = make_egg()
-    run = made_run(tmp_path, obj, [10, 20, 333], np.tile(np.float32([1, 0, 0]), (3, 1)))
+    obj, run = body_of_a_run(tmp_path, [10, 20, 333])
     (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": "builtin"}]}))
-    obj.cloak.run = str(run)
     bpy.ops.cloak.result_load()
     return obj
 

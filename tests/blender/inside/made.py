@@ -1,5 +1,7 @@
 """Bodies to test with, made on the spot."""
 
+from pathlib import Path
+
 import bmesh
 import bpy
 import numpy as np
@@ -84,6 +86,30 @@ def select_only(obj: bpy.types.Object, ids) -> None:
     set_mode("EDIT")
     bpy.context.tool_settings.mesh_select_mode = (False, False, True)
     faces.select_faces(obj, mask)
+
+
+def made_run(
+    folder: Path, obj: bpy.types.Object, ids, values: np.ndarray, topology: str = "", name: str = "run ä"
+) -> Path:
+    """A run folder with colours for faces of an object, as a training leaves it; without a record."""
+    from cloak.blender import mesh_arrays
+    from cloak.exchange.colors import write_colors
+    from cloak.exchange.face_lists import write_face_list
+
+    run = folder / name
+    run.mkdir(parents=True)
+    write_face_list(run / "logo.npy", np.asarray(ids), topology or mesh_arrays.topology(obj))
+    write_colors(run / "colors.npy", values)
+    return run
+
+
+def body_of_a_run(folder: Path, ids=(3, 4, 50)) -> tuple[bpy.types.Object, Path]:
+    """An egg with a skin and a run that made some faces red, and the run; the body does not wear it yet."""
+    obj = make_egg()
+    obj.data.materials.append(bpy.data.materials.new("Skin"))
+    run = made_run(folder, obj, list(ids), np.tile(np.float32([1, 0, 0]), (len(ids), 1)))
+    obj.cloak.run = str(run)
+    return obj, run
 
 
 def centers(obj: bpy.types.Object) -> np.ndarray:

@@ -9,15 +9,13 @@ import pytest
 from cloak.blender import colors, faces, mesh_arrays, pictures
 from cloak.body import garments
 from cloak.body.objects import ASSETS
-from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list
 from cloak.poses.export import export
 from cloak.poses.poses import PoseChoice
 from cloak.training import runs
 from cloak.training.run_list import read_state
 from cloths_made import METRES, SQUARES, cloth_run, random_squares, save_picture, wall
-from made import make_egg, set_mode
-from test_colors import made_run
+from made import made_run, make_egg, set_mode
 
 
 def test_the_logo_shows_the_picture_and_the_rest_its_own_material(clothed):
@@ -151,9 +149,8 @@ def test_a_garment_wears_its_part_of_the_cloth(tmp_path, modifier):
         one.data.attributes.new("logo", "BOOLEAN", "FACE").data.foreach_set("value", np.ones(count, bool))
     run = tmp_path / "run"
     done = export(bpy.context, obj, "logo", PoseChoice(), runs.input_folder(run))
-    made_run(tmp_path, obj, [0], np.zeros((1, 3), np.float32)).rename(run)
     ids = read_face_list(done.face_list).ids
-    write_colors(run / "colors.npy", np.full((len(ids), 3), 0.5, np.float32))
+    made_run(tmp_path, obj, ids, np.full((len(ids), 3), 0.5, np.float32), name="run")
     save_picture(run / "cloth.png", random_squares())
     (run / "config.json").write_text(json.dumps({"settings": {"tile_cm": 100 * METRES}}))
     runs.import_colors(bpy.context, obj, run)

@@ -3,23 +3,14 @@
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, faces, mesh_arrays
+from cloak.blender import colors, faces
 from cloak.blender.pictures import read_picture
 from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
-from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
 from cloak.result.evaluations import result_reason
 from cloak.training import runs
-from made import make_egg, set_mode
-
-
-def made_run(folder, obj, ids, values, topology=None):
-    run = folder / "run ä"
-    run.mkdir()
-    write_face_list(run / "logo.npy", np.asarray(ids), topology or mesh_arrays.topology(obj))
-    write_colors(run / "colors.npy", values)
-    return run
+from made import body_of_a_run, made_run, set_mode
 
 
 def test_conversion_is_the_standard_and_its_own_inverse():
@@ -65,18 +56,8 @@ def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
     assert np.abs(seen - wanted[order]).max() <= 1.001 / 255
 
 
-def dressed_body(folder, ids=(3, 4, 50)):
-    obj = make_egg()
-    material = bpy.data.materials.new("Skin")
-    obj.data.materials.append(material)
-    values = np.tile(np.float32([1, 0, 0]), (len(ids), 1))
-    run = made_run(folder, obj, list(ids), values)
-    obj.cloak.run = str(run)
-    return obj, run
-
-
 def test_colours_reach_exactly_the_logos_faces(tmp_path):
-    obj, _ = dressed_body(tmp_path)
+    obj, _ = body_of_a_run(tmp_path)
     own = colors.own_face_colors(obj)
     bpy.ops.cloak.result_load()
     shown = colors.written_colors(obj)
@@ -91,7 +72,7 @@ def test_colours_reach_exactly_the_logos_faces(tmp_path):
 
 
 def test_toggle_returns_the_original_materials(tmp_path):
-    obj, _ = dressed_body(tmp_path)
+    obj, _ = body_of_a_run(tmp_path)
     two = bpy.data.materials.new("Shirt")
     obj.data.materials.append(two)
     before = np.arange(len(obj.data.polygons), dtype=np.int32) % 2
@@ -109,7 +90,7 @@ def test_toggle_returns_the_original_materials(tmp_path):
 
 
 def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
-    obj, run = dressed_body(tmp_path)
+    obj, run = body_of_a_run(tmp_path)
     body.subdivide(obj)
     with pytest.raises(
         RuntimeError, match=r"changed since export: its faces are .*undo the change, or export and train"
@@ -128,7 +109,7 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
 def test_live_colours_update_only_when_there_is_something_new(tmp_path):
     import os
 
-    obj, run = dressed_body(tmp_path)
+    obj, run = body_of_a_run(tmp_path)
     live = runs.LiveColors(obj, run)
     obj.name = "Renamed"
     assert live.update(bpy.context) and not live.update(bpy.context)

@@ -6,15 +6,14 @@ import pytest
 from cloak.blender import colors, faces
 from cloak.blender.mesh_arrays import topology
 from cloak.body import garments
-from cloak.exchange.colors import write_colors
-from cloak.exchange.face_lists import read_face_list, write_face_list
+from cloak.exchange.face_lists import read_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
 from cloak.poses.export import export_summary, poses_reason
 from cloak.poses.poses import PoseChoice, list_poses
 from cloak.training import runs
-from made import add_ngons, make_egg, set_mode
+from made import add_ngons, made_run, make_egg, set_mode
 
 NOW = PoseChoice()
 
@@ -139,39 +138,13 @@ def test_bad_choices_of_poses():
 # --- clothing --------------------------------------------------------------------------------------------------------
 
 
-def test_clothing_follows_the_body_and_keeps_its_faces_ids(tmp_path):
-    obj = make_egg()
-    shirt = make_egg(10, 1.0, "Shirt")
-    shirt.modifiers.new("Subdivision", "SUBSURF").levels = 1  # clothing may
-    stranger = make_egg(6, name="Stranger")
-    stranger.location.x = 3
-    hidden = make_egg(6, name="Hidden")
-    for worn in (shirt, hidden):
-        worn.parent = obj
-    hidden.hide_set(True)
-    bpy.context.view_layer.objects.active = obj
-    bpy.context.view_layer.update()
-    assert garments.worn_by(obj) == [shirt] and stranger not in garments.worn_by(obj)
-    count = len(obj.data.polygons)
-    faces.new_logo(obj, "chest", np.arange(count) >= count - 5)
-    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
-    bodies = read_scene(done.scene)
-    shirt_faces = len(shirt.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons)
-    assert bodies.face_count == count + shirt_faces == done.faces
-    face_list = read_face_list(done.face_list, bodies)
-    assert face_list.ids.tolist() == list(range(count - 5, count))
-    assert done.topology == topology(obj) != bodies.topology
-    assert "with Shirt" in export_summary(bpy.context)
-
-
 @pytest.mark.parametrize("levels", [0, 1])
 def test_one_logo_goes_on_over_body_and_shirt(levels, tmp_path):
     """Colours come back to the object that each face belongs to, live and at the end, and Show Original takes both."""
     obj = make_egg(12)
     trousers, shirt = make_egg(8, 0.8, "A pair of trousers"), make_egg(10, 1.0, "Shirt")
-    if levels:
-        shirt.modifiers.new("Subdivision", "SUBSURF").levels = levels
-    for worn in (shirt, trousers):
+    for worn in (shirt, trousers):  # which may have modifiers that make faces, with the logo and without
+        worn.modifiers.new("Subdivision", "SUBSURF").levels = levels
         worn.parent = obj
     bpy.context.view_layer.objects.active = obj
     faces.new_logo(obj, "chest", np.isin(np.arange(len(obj.data.polygons)), [3, 50]))
@@ -179,16 +152,16 @@ def test_one_logo_goes_on_over_body_and_shirt(levels, tmp_path):
     obj.cloak.logo = "chest"
     bpy.context.view_layer.update()
     assert "the logo goes on over Shirt" in export_summary(bpy.context)
-    run = tmp_path / "run"
     done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input")
-    bodies, before = read_scene(done.scene), len(obj.data.polygons) + len(trousers.data.polygons)
+    assert "with A pair of trousers, Shirt;" in export_summary(bpy.context)
+    bodies, seen = read_scene(done.scene), trousers.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    before = len(obj.data.polygons) + len(seen.polygons)
     face_list = read_face_list(done.face_list, bodies)
     assert face_list.ids.tolist() == [3, 50, before + 7, before + 9, before + 80]
-    assert bodies.face_count == before + len(shirt.data.polygons)
-    run.mkdir()
-    write_face_list(run / "logo.npy", face_list.ids, bodies.topology)
+    assert bodies.face_count == before + len(shirt.data.polygons) == done.faces
+    assert done.topology == topology(obj) != bodies.topology
     trained = np.random.default_rng(0).random((5, 3)).astype(np.float32)
-    write_colors(run / "colors.npy", trained)
+    run = made_run(tmp_path, obj, face_list.ids, trained, bodies.topology, "run")
 
     def check() -> None:
         assert np.allclose(colors.written_colors(obj)[[3, 50]], trained[:2], atol=1e-5)

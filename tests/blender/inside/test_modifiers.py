@@ -6,15 +6,14 @@ import pytest
 from cloak.blender import colors, faces
 from cloak.blender.evaluated import CARRIED, carried_faces, numbered_faces
 from cloak.blender.mesh_arrays import topology
-from cloak.exchange.colors import write_colors
-from cloak.exchange.face_lists import read_face_list, write_face_list
+from cloak.exchange.face_lists import read_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
 from cloak.poses.export import poses_reason
 from cloak.poses.poses import PoseChoice
 from cloak.training import runs
-from made import centers, make_egg
+from made import centers, made_run, make_egg
 
 NOW = PoseChoice()
 
@@ -109,14 +108,10 @@ def test_trained_colours_are_seen_where_they_were_trained(add, tmp_path):
     obj = half_egg()
     add(obj)
     bpy.context.view_layer.update()
-    run = tmp_path / "run"
     done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input")
     bodies, ids = read_scene(done.scene), read_face_list(done.face_list).ids
-    run.mkdir()
-    write_face_list(run / "logo.npy", ids, bodies.topology)
     trained = np.random.default_rng(0).random((len(ids), 3)).astype(np.float32)
-    write_colors(run / "colors.npy", trained)
-    runs.import_colors(bpy.context, obj, run)
+    runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, ids, trained, bodies.topology, "run"))
     with numbered_faces([obj]):
         graph = bpy.context.evaluated_depsgraph_get()
         mesh = obj.evaluated_get(graph).to_mesh()

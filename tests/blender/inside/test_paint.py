@@ -124,6 +124,3 @@ def test_rays_meet_what_blender_says_they_meet():
             assert ngon or np.allclose(hits[0], obj.matrix_world @ place, atol=1e-3)
             assert ngon or surface.around(hits[0], 0.0).tolist() == [face]
     assert 10 < met < 60
-
-
-# --- quick on large meshes, as the plain way is ----------------------------------------------------------------------

@@ -10,8 +10,7 @@ from cloak.session import session
 from cloak.trainer.program import preferences
 from cloak.training import run_list
 from conftest import run_job
-from made import make_egg
-from test_colors import made_run
+from made import add_camera, made_run, make_egg
 from test_export import rig
 from test_headless import RED
 
@@ -50,10 +49,8 @@ def test_the_real_trainer_checks_evaluates_films_prints_and_looks(tmp_path, real
         assert found.images == 8 and [s.azimuth for s in found.worst_sectors()] == [-180, -90, 0, 90]
         assert 0 <= found.detectors[0].rates["clothing"][1].value <= 1
         assert sorted(path.name for path in outputs.made(run)) == ["print sheets", "turntable.gif"]
-        bpy.context.scene.camera = camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-        bpy.context.scene.collection.objects.link(camera)
-        camera.location, camera.rotation_euler, judging.eye_from = (0, -3, 0.9), (np.pi / 2, 0, 0), "CAMERA"
-        bpy.context.view_layer.update()
+        add_camera((0, -3, 0.9))
+        judging.eye_from = "CAMERA"
         bpy.ops.cloak.eye()
         until = time.monotonic() + 300
         while session.eye.seen is None:

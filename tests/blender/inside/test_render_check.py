@@ -10,16 +10,13 @@ from cloak.blender.pictures import read_picture, save_picture
 from cloak.result import render_check
 from cloak.training import run_list, runs
 from conftest import folder_of, run_job
-from made import make_egg
-from test_colors import made_run
+from made import body_of_a_run
 from test_export import rig
 
 
 def dressed(folder: Path) -> bpy.types.Object:
-    obj = make_egg()
-    count = len(obj.data.polygons)
-    run = made_run(folder, obj, np.arange(count), np.tile(np.float32([1, 0, 0]), (count, 1)))
-    obj.cloak.run = str(run)
+    """An egg that is red all over."""
+    obj, _ = body_of_a_run(folder, range(24 * 48))
     bpy.ops.cloak.result_load()
     return obj
 

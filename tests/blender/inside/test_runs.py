@@ -13,8 +13,6 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors
-from cloak.blender.mesh_arrays import topology
-from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
 from cloak.result.evaluations import result_reason
 from cloak.session import session
@@ -22,7 +20,7 @@ from cloak.trainer import jobs
 from cloak.training import run_list, runs
 from cloak.training.operators import run_reason, selected_run
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
-from made import make_egg
+from made import made_run, make_egg
 
 
 def listed() -> dict[str, str]:
@@ -111,9 +109,6 @@ def test_a_deleted_body_is_said_at_once_and_undo_brings_all_back(ready, monkeypa
     assert run_job().state == "stopped" and red_faces(bpy.data.objects["Body"]) == LOGO_FACES
 
 
-# --- more steps -------------------------------------------------------------------------------------------------------
-
-
 # --- trainers that this Blender did not start -------------------------------------------------------------------------
 
 
@@ -181,12 +176,8 @@ def test_closing_blender_lets_a_found_training_go_on(orphan):
 
 def command_line_run(folder: Path, obj: bpy.types.Object) -> Path:
     """A finished run that has no input beside it."""
-    from cloak.exchange.colors import write_colors
-
-    run = folder / "from the command line"
-    run.mkdir(parents=True)
-    write_face_list(run / "logo.npy", np.array(LOGO_FACES), topology(obj))
-    write_colors(run / "colors.npy", np.tile(np.float32([1, 0, 0]), (len(LOGO_FACES), 1)))
+    red = np.tile(np.float32([1, 0, 0]), (len(LOGO_FACES), 1))
+    run = made_run(folder, obj, LOGO_FACES, red, name="from the command line")
     (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": "builtin"}]}))
     events = [
         {"type": "start", "step": 0, "time": 0, "steps": 9},

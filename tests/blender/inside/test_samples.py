@@ -8,14 +8,13 @@ from cloak.blender.mesh_arrays import topology
 from cloak.body import garments
 from cloak.body.objects import CLOTHES, add_people
 from cloak.exchange.bodies import Bodies
-from cloak.exchange.colors import write_colors
-from cloak.exchange.face_lists import read_face_list, write_face_list
+from cloak.exchange.face_lists import read_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.logo import operators as heat
 from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
 from cloak.result.judging import CLOAK_OT_render_check
-from cloak.training import runs
+from made import made_run
 
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]], np.int32)
 """Of a box whose corners are numbered in binary, z last."""
@@ -55,10 +54,8 @@ def clothed() -> bpy.types.Object:
     return obj
 
 
-def exported(obj, tmp_path, logo=CLOTHES):
-    run = tmp_path / "run"
-    done = scene_export.export(bpy.context, obj, logo, PoseChoice("RANGE", 1, 2, 1), runs.input_folder(run))
-    return run, done
+def exported(obj, tmp_path) -> scene_export.Export:
+    return scene_export.export(bpy.context, obj, CLOTHES, PoseChoice("RANGE", 1, 2, 1), tmp_path / "run.input")
 
 
 def test_body_and_garments_are_objects_with_names_and_logos_of_their_own(clothed):
@@ -74,7 +71,7 @@ def test_body_and_garments_are_objects_with_names_and_logos_of_their_own(clothed
 
 
 def test_an_export_has_the_faces_colours_and_poses_of_the_clothed_people(clothed, tmp_path):
-    wanted, (_, done) = made_clothed(), exported(clothed, tmp_path)
+    wanted, done = made_clothed(), exported(clothed, tmp_path)
     bodies = read_scene(done.scene)
     assert bodies.topology == wanted.topology and done.topology == topology(clothed) != wanted.topology
     assert np.allclose(bodies.vertices, wanted.vertices, atol=1e-6)
@@ -83,11 +80,9 @@ def test_an_export_has_the_faces_colours_and_poses_of_the_clothed_people(clothed
 
 
 def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):
-    run, _ = exported(clothed, tmp_path)
-    run.mkdir()
-    write_face_list(run / "logo.npy", np.arange(6, 18), made_clothed().topology)
-    write_colors(run / "colors.npy", np.full((12, 3), 0.75, np.float32))
-    clothed.cloak.run = str(run)
+    exported(clothed, tmp_path)
+    grey = np.full((12, 3), 0.75, np.float32)
+    clothed.cloak.run = str(made_run(tmp_path, clothed, range(6, 18), grey, made_clothed().topology, "run"))
     bpy.ops.cloak.result_load()
     shirt = bpy.data.objects["Shirt"]
     assert garments.is_dressed(clothed) and not colors.is_dressed(clothed)

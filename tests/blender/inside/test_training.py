@@ -12,7 +12,7 @@ from cloak.result.evaluations import result_reason
 from cloak.session import session
 from cloak.training import run_list
 from cloak.training.operators import run_reason, train_reason
-from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
+from conftest import LOGO_FACES, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import set_mode
 from test_runs import is_alive
 
@@ -72,19 +72,6 @@ def test_trainer_killed(ready, monkeypatch):
     assert run_job().state == "done"
 
 
-@pytest.mark.parametrize(
-    ("how", "words"),
-    [("refuse", "--detector builtin: no such thing here"), ("crash", "exit code 1.*RuntimeError: a defect")],
-)
-def test_the_trainers_last_words_reach_the_panel(ready, monkeypatch, how, words):
-    monkeypatch.setenv("CLOAK_STUB", how)
-    bpy.ops.cloak.train_start()
-    job = run_job()
-    assert job.state == "failed"
-    assert re.search(words, job.message) and "\n" not in job.message
-    assert "cloak.colors" not in ready.data.color_attributes
-
-
 def test_broken_event_lines_are_passed_over(ready, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "broken")
     bpy.ops.cloak.train_start()
@@ -133,19 +120,6 @@ def test_an_output_that_cannot_be_is_refused(ready, output, words):
 
 
 # --- Blender closes ---------------------------------------------------------------------------------------------------
-
-
-def test_disabling_the_add_on_ends_the_training_in_order(ready, monkeypatch):
-    monkeypatch.setenv("CLOAK_STUB", "slow")
-    bpy.ops.cloak.train_start()
-    job, run = session.job, Path(ready.cloak.run)
-    wait_for(lambda: job.progress.step >= 2)
-    bpy.ops.preferences.addon_disable(module=MODULE)
-    try:
-        assert (run / "cancel").exists()
-        job._process.wait(timeout=120)
-    finally:
-        bpy.ops.preferences.addon_enable(module=MODULE)
 
 
 def test_closing_blender_mid_run_and_resuming_from_the_saved_file(ready, monkeypatch, tmp_path):
