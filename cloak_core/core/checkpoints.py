@@ -55,7 +55,12 @@ def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
         with new_folder(target) as temporary:
             write_bytes(temporary / "state.safetensors", data)
             write_json(temporary / "state.json", record)
-        _flush_folder(folder)
+        if os.name == "posix":  # elsewhere a folder cannot be opened; the rename is as durable as it gets
+            handle = os.open(folder, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
         for path in _checkpoints(folder)[:-KEPT]:
             shutil.rmtree(path)
 
@@ -123,12 +128,3 @@ def _read(path: Path) -> Checkpoint:
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
             raise InputError(f"{file}: '{name}' is not finite")
     return Checkpoint(step, float(time), tensors)
-
-
-def _flush_folder(folder: Path) -> None:
-    if os.name == "posix":  # elsewhere a folder cannot be opened; the rename is as durable as it gets
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

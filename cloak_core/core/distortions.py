@@ -78,31 +78,23 @@ def through_jpeg(images: Float[Tensor, "B 3 H W"], quality: Float[Tensor, " B"])
     padded = F.pad(images, (0, -width % BLOCK, 0, -height % BLOCK), mode="replicate")
     to_ycc = torch.tensor(TO_YCC, dtype=images.dtype, device=images.device)
     ycc = torch.einsum("kc,bchw->bkhw", to_ycc, 255 * padded) - 128 * images.new_tensor([1.0, 0, 0]).view(3, 1, 1)
-    cosines = _cosines(images)
+    # The orthonormal discrete cosine transform.
+    k = torch.arange(BLOCK, dtype=torch.float64)
+    cosines = torch.cos(torch.pi * (2 * k + 1) * k[:, None] / (2 * BLOCK)) * (2 / BLOCK) ** 0.5
+    cosines[0] /= 2**0.5
+    cosines = cosines.to(images)
     blocks = ycc.unflatten(3, (-1, BLOCK)).unflatten(2, (-1, BLOCK))  # [B, 3, rows, 8, columns, 8]
     coefficients = torch.einsum("ui,bkricj,vj->bkrucv", cosines, blocks, cosines)
-    step = _quantisation(images, quality)[:, :, None, :, None, :]
+    # The tables of annex K, scaled as libjpeg does for a quality of 1..100.
+    tables = torch.tensor([_LUMINANCE, _CHROMINANCE, _CHROMINANCE], dtype=images.dtype, device=images.device)
+    percent = torch.where(quality < 50, 5000 / quality, 200 - 2 * quality)
+    step = (tables * percent.view(-1, 1, 1, 1) / 100 + 0.5).floor().clamp(1, 255)[:, :, None, :, None, :]
     scaled = coefficients / step
     rounded = scaled + (scaled.round() - scaled).detach()
     blocks = torch.einsum("ui,bkrucv,vj->bkricj", cosines, rounded * step, cosines)
     ycc = blocks.reshape(ycc.shape) + 128 * images.new_tensor([1.0, 0, 0]).view(3, 1, 1)
     rgb = torch.einsum("ck,bkhw->bchw", torch.linalg.inv(to_ycc), ycc) / 255
     return rgb[:, :, :height, :width].clamp(0, 1)
-
-
-def _cosines(like: Tensor) -> Float[Tensor, "8 8"]:
-    """Compute the orthonormal discrete cosine transform."""
-    k = torch.arange(BLOCK, dtype=torch.float64)
-    matrix = torch.cos(torch.pi * (2 * k + 1) * k[:, None] / (2 * BLOCK)) * (2 / BLOCK) ** 0.5
-    matrix[0] /= 2**0.5
-    return matrix.to(like)
-
-
-def _quantisation(like: Tensor, quality: Float[Tensor, " B"]) -> Float[Tensor, "B 3 8 8"]:
-    """Scale the tables of annex K as libjpeg does for a quality of 1..100."""
-    tables = torch.tensor([_LUMINANCE, _CHROMINANCE, _CHROMINANCE], dtype=like.dtype, device=like.device)
-    percent = torch.where(quality < 50, 5000 / quality, 200 - 2 * quality)
-    return (tables * percent.view(-1, 1, 1, 1) / 100 + 0.5).floor().clamp(1, 255)
 
 
 _CUTOUT, _WINDOW, _BLUR = 2, 3, 6

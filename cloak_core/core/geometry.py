@@ -57,17 +57,11 @@ def outward_parts(bodies: Bodies) -> Bool[np.ndarray, "poses triangles"]:
     open_parts = part[~(paired & once & (start != end)).all(1)]
     closed = ~np.isin(part, open_parts)
     for pose in range(bodies.pose_count):
-        outward[pose] = closed & (_volumes(bodies, pose, part) > 0)[part]
+        # Each closed part's volume, by the divergence theorem; of any origin, but one nearby rounds less.
+        vectors, centroid = area_vectors(bodies, pose)
+        volume = np.bincount(part, weights=(vectors * (centroid - centroid.mean(axis=0))).sum(axis=1) / 3)
+        outward[pose] = closed & (volume > 0)[part]
     return outward
-
-
-def _volumes(bodies: Bodies, pose: int, part: Integer[np.ndarray, " triangles"]) -> np.ndarray:
-    """Compute each part's enclosed volume, by the divergence theorem; meaningful where a part is closed.
-
-    The origin does not matter then, but one nearby rounds less.
-    """
-    vectors, centroid = area_vectors(bodies, pose)
-    return np.bincount(part, weights=(vectors * (centroid - centroid.mean(axis=0))).sum(axis=1) / 3)
 
 
 def connected_parts(faces: Integer[np.ndarray, "faces corners"], vertex_count: int) -> Integer[np.ndarray, " vertices"]:

@@ -98,21 +98,18 @@ class Sampler:
         """Deal background, member and direction to images counted from the start of the run."""
         epochs, places = np.divmod(images, self.epoch_images)
         dealt = np.empty((3, len(images)), np.int64)
-        for epoch in np.unique(epochs):
+        for epoch in np.unique(epochs).tolist():
+            if self._plan is None or self._plan[0] != epoch:
+                random = np.random.default_rng([self.settings.run.seed, _EPOCH, epoch])
+                background, direction = np.divmod(random.permutation(self.epoch_images), self.source.directions)
+                # A new order of the members each epoch, so that the odd ones out change.
+                count = self.source.members
+                member = random.permutation(count)[random.permutation(self.epoch_images) % count]
+                self._plan = (epoch, background, member, direction)
             chosen = epochs == epoch
-            for row, plan in zip(dealt, self._epoch_plan(int(epoch)), strict=True):
+            for row, plan in zip(dealt, self._plan[1:], strict=True):
                 row[chosen] = plan[places[chosen]]
         return tuple(dealt)
-
-    def _epoch_plan(self, epoch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if self._plan is None or self._plan[0] != epoch:
-            random = np.random.default_rng([self.settings.run.seed, _EPOCH, epoch])
-            background, direction = np.divmod(random.permutation(self.epoch_images), self.source.directions)
-            # A new order of the members each epoch, so that the odd ones out change.
-            count = self.source.members
-            member = random.permutation(count)[random.permutation(self.epoch_images) % count]
-            self._plan = (epoch, background, member, direction)
-        return self._plan[1:]
 
 
 def _spread(random: np.random.Generator, values: Range, count: int) -> np.ndarray:

@@ -56,13 +56,5 @@ class Techniques(tuple[Technique, ...]):
                 stack.enter_context(technique.detector_context(number, step))
             yield
 
-    def content(self) -> dict[str, object]:
-        """Record the content of every technique's files."""
-        return {name: value for technique in self for name, value in technique.content().items()}
-
-    def report(self, colors: Float[np.ndarray, "C 3"]) -> dict[str, float]:
-        """Measure the colours that a run ends with, by every technique."""
-        return {name: value for technique in self for name, value in technique.report(colors).items()}
-
 
 NO_TECHNIQUES = Techniques()

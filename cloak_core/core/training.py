@@ -103,7 +103,7 @@ class TrainingLoop(Loop):
             figures=self.figures or self._recorded_figures(),
             stopped=reason,
             colors=self._on_faces(colors),
-            report=self.techniques.report(_as_array(colors)),
+            report={k: v for technique in self.techniques for k, v in technique.report(_as_array(colors)).items()},
         )
 
     def _recorded_figures(self) -> StepFigures | None:

@@ -26,22 +26,16 @@ class Printability(Technique):
         self.palette = torch.as_tensor(palette, dtype=torch.float32, device=device)
 
     def penalty(self, colors: Float[torch.Tensor, "C 3"]) -> tuple[float, Float[torch.Tensor, ""]]:
-        return self.weight, non_printability(colors, self.palette)
+        """Average the colours' Euclidean distance to the nearest of the palette, sRGB in [0, 1]; at most sqrt(3).
+
+        A colour of the palette itself has gradient 0.
+        """
+        # Which one is nearest does not need a gradient, and [L, P] of floats is all that is kept at once.
+        with torch.no_grad():
+            squares = (self.palette**2).sum(dim=1) - 2 * colors @ self.palette.T
+            nearest = self.palette[squares.argmin(dim=1)]
+        # The root's gradient is infinite at 0; below a millionth of a colour there is none.
+        return self.weight, ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()
 
     def content(self) -> dict[str, object]:
         return {"palette": {"colors": len(self.colors), "sha256": sha256_arrays(self.colors)}}
-
-
-def non_printability(
-    colors: Float[torch.Tensor, "L 3"], palette: Float[torch.Tensor, "P 3"]
-) -> Float[torch.Tensor, ""]:
-    """Average the faces' Euclidean distance to the nearest colour of `palette`, sRGB in [0, 1]; at most sqrt(3).
-
-    A colour of the palette itself has gradient 0.
-    """
-    # Which one is nearest does not need a gradient, and [L, P] of floats is all that is kept at once.
-    with torch.no_grad():
-        squares = (palette**2).sum(dim=1) - 2 * colors @ palette.T
-        nearest = palette[squares.argmin(dim=1)]
-    # The root's gradient is infinite at 0; below a millionth of a colour there is none.
-    return ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()

@@ -69,16 +69,13 @@ class _Shaking(TorchFunctionMode):
         """
         is_way_around = [x.data_ptr() in self._read for x in (one, other)]
         is_residual = is_way_around[0] != is_way_around[1]
-        changed = [
-            x if is_residual and around else x * self._factors(x)
-            for x, around in zip((one, other), is_way_around, strict=True)
-        ]
+        changed = []
+        for x, around in zip((one, other), is_way_around, strict=True):
+            if not (is_residual and around):
+                drawn = torch.rand(len(x), 1, 1, 1, generator=self.random)
+                x = x * (1 + self.reach * (2 * drawn - 1)).to(x.device, x.dtype)  # an image's factor is in 1 ± reach
+            changed.append(x)
         return changed[0], changed[1]
-
-    def _factors(self, x: torch.Tensor) -> torch.Tensor:
-        """Draw [B, 1, 1, 1], uniform in 1 ± reach."""
-        drawn = torch.rand(len(x), 1, 1, 1, generator=self.random)
-        return (1 + self.reach * (2 * drawn - 1)).to(x.device, x.dtype)
 
 
 def _are_maps(one: object, other: object) -> bool:

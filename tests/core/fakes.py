@@ -6,18 +6,22 @@ import numpy as np
 import torch
 from torch import nn
 
+from cloak_core.core.batches import Batcher
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.logo import Logo, make_logo
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.places import Places
+from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.source import Dealt
 from cloak_core.core.technique import Techniques
 from cloak_core.core.view import BakedView, Box, Subject
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.choosing import pattern_of
+from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.bodies.source import BodySource
 from cloak_core.techniques import build_techniques
 
 SIDE = 4
@@ -194,6 +198,14 @@ class RenamingDetector(RedDetector):
         boxes = torch.stack([x, y, x + 8, y + 8], dim=-1).flatten(0, 1).expand(*scores.shape, 4)
         other = torch.sigmoid(-redness)
         return Detections(boxes, scores, other=other, other_class=torch.ones_like(other, dtype=torch.int64))
+
+
+def tiny_batcher(settings: TrainSettings, logo: Logo | None = None) -> Batcher:
+    """Builds batches of a box's front before noise, as a training with these settings does."""
+    bodies, backgrounds = box_bodies(), noise_backgrounds()
+    sampler = Sampler(settings, BodySource.trained(bodies, settings.views), len(backgrounds))
+    pattern = FacePattern(logo or front_logo(bodies), bodies)
+    return Batcher(settings, sampler, backgrounds, pattern, torch.device("cpu"))
 
 
 def techniques_of(

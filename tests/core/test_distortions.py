@@ -7,13 +7,8 @@ import pytest
 import torch
 from PIL import Image, ImageFilter
 
-from cloak_core.core.batches import Batcher
 from cloak_core.core.distortions import Distortion, blurred, draw_window, through_jpeg, windowed
-from cloak_core.core.geometry import face_centres
-from cloak_core.core.sampling import Sampler
-from cloak_core.patterns.faces import FacePattern
-from cloak_core.sources.bodies.source import BodySource
-from tests.core.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
+from tests.core.fakes import tiny_batcher, tiny_settings
 
 
 def smooth_images(count: int = 2, size: int = 48) -> torch.Tensor:
@@ -86,11 +81,8 @@ def test_drawn_windows_stay_within_or_around_the_image(crop: float, pad: float):
 
 def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
     """A batch's images of a grey logo, and their gradient's length on each face."""
-    bodies, settings = box_bodies(), tiny_settings(noise=0.0, contrast="1", brightness="0", **changes)
-    logo, backgrounds = front_logo(bodies), noise_backgrounds()
-    sampler = Sampler(settings, BodySource.trained(bodies, settings.views), len(backgrounds))
-    batcher = Batcher(settings, sampler, backgrounds, FacePattern(logo, bodies), torch.device("cpu"))
-    colors = torch.full((len(logo), 3), 0.9, requires_grad=True)
+    batcher = tiny_batcher(tiny_settings(noise=0.0, contrast="1", brightness="0", **changes))
+    colors = torch.full((batcher.pattern.count, 3), 0.9, requires_grad=True)
     images = batcher.batch(0).images(colors)
     images.sum().backward()
     return images.detach().clone(), colors.grad.abs().sum(1)
@@ -107,13 +99,10 @@ def test_what_is_switched_on_changes_images_and_is_drawn_by_seed_and_step(change
 
 
 def test_cut_out_faces_are_grey_and_stand_together():
-    bodies, settings = box_bodies(), tiny_settings(cutout=1.0, batch=8, noise=0.0)
-    pattern = FacePattern(front_logo(bodies), bodies)
-    sampler = Sampler(settings, BodySource.trained(bodies, settings.views), 5)
-    batcher = Batcher(settings, sampler, noise_backgrounds(), pattern, torch.device("cpu"))
+    batcher = tiny_batcher(tiny_settings(cutout=1.0, batch=8, noise=0.0))
     hidden = batcher.batch(0).hidden.numpy()
     assert len({row.sum() for row in hidden}) > 3
-    centres = face_centres(bodies)[pattern.cover.face_ids]
+    centres = batcher.pattern.centres
     for row in hidden[hidden.any(1) & ~hidden.all(1)]:
         apart = np.linalg.norm(centres[row][:, None] - centres[~row][None], axis=2)
         within = np.linalg.norm(centres[row][:, None] - centres[row][None], axis=2)

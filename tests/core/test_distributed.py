@@ -97,9 +97,8 @@ def test_two_processes_lose_one_go_on_and_reach_what_one_does(tmp_path):
     difference = np.abs(read_colors(tmp_path / "two" / "colors.npy") - one.colors).max()
     assert difference < 1e-5
     section = "Several processes"
-    record(
-        section, "a process dies in step 8 of 20", "`lost another process of this run after step 7`; checkpoint valid"
-    )
+    lost = "`lost another process of this run after step 7`; checkpoint valid"
+    record(section, "a process dies in step 8 of 20", lost)
     record(section, "a process dies again, under torchrun --max-restarts 1", "the restart goes on from the checkpoint")
     record(section, "colours of two processes, after both, against one process, 20 steps", f"{difference:.1e} apart")
 

@@ -66,9 +66,8 @@ def test_each_detector_has_the_margin_of_its_own_operating_point():
 def test_hiding_everything_counts_any_class_on_the_body():
     detector, bodies = RenamingDetector(), torch.tensor([[8.0, 8.0, 40.0, 56.0]]).expand(len(IMAGES), 4)
     for loss in ("score", "log", "margin"):
-        answer = objective([detector], loss=loss, hide="everything", microbatch=2).forward_backward(
-            IMAGES, bodies=bodies
-        )
+        asked = objective([detector], loss=loss, hide="everything", microbatch=2)
+        answer = asked.forward_backward(IMAGES, bodies=bodies)
         images = IMAGES.clone().requires_grad_()
         found = detector(images)
         inside = (found.boxes[..., 0] >= 8) & (found.boxes[..., 2] <= 40)

@@ -9,13 +9,10 @@ from cloak_core.core.optimizer import ColorOptimizer, learning_rate
 from cloak_core.core.settings import make_settings
 
 
-def test_paper_schedule():
-    settings = make_settings("paper").optimization
-    rates = [learning_rate(settings, 0, 1, epoch) for epoch in (0.0, 9.99, 10.0, 19.9, 20.0)]
+def test_schedules():
+    paper = make_settings("paper").optimization
+    rates = [learning_rate(paper, 0, 1, epoch) for epoch in (0.0, 9.99, 10.0, 19.9, 20.0)]
     assert rates == pytest.approx([0.1, 0.1, 0.01, 0.01, 0.001])
-
-
-def test_other_schedules():
     constant = make_settings("best", schedule="constant", lr=0.5).optimization
     assert learning_rate(constant, 99, 100, 50.0) == 0.5
     cosine = make_settings("best", schedule="cosine", lr=1.0).optimization
@@ -29,15 +26,12 @@ def test_other_schedules():
 def test_colours_stay_in_gamut_and_state_restores_exactly(optimizer, gamut):
     changes = {"optimizer": "sgd", "momentum": 0.9} if optimizer == "momentum" else {"optimizer": optimizer}
     settings = make_settings("best", gamut=gamut, **changes).optimization
-    generator = torch.Generator().manual_seed(0)
-    pushes = torch.randn(8, 4, 3, generator=generator)
+    pushes = torch.randn(8, 4, 3, generator=torch.Generator().manual_seed(0))
 
     def steps(target, wanted):
         for push in wanted:
-            target.clear()
-            (target.colors() * push).sum().backward()
-            target.update(0.7)
-            assert target.colors().min() >= 0 and target.colors().max() <= 1
+            colors = _pushed(target, push, 0.7)
+            assert colors.min() >= 0 and colors.max() <= 1
 
     whole = ColorOptimizer(settings, torch.full((4, 3), 0.5))
     steps(whole, pushes)

@@ -14,9 +14,7 @@ from cloak_core.core import loop
 from cloak_core.core.events import read_events
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
-from tests.core.fakes import (
-    TinyDetector,
-)
+from tests.core.fakes import TinyDetector
 from tests.core.test_training import run
 
 

@@ -70,9 +70,8 @@ def test_ranges_are_kept_and_used():
     ):
         spread = high - low
         assert low <= values.min() < low + 0.05 * spread and high - 0.05 * spread < values.max() <= high
-    assert draws.shown["elevation"].mean() == pytest.approx(6, abs=0.1) and draws.shown[
-        "elevation"
-    ].std() == pytest.approx(1, abs=0.1)
+    elevation = draws.shown["elevation"]
+    assert (elevation.mean(), elevation.std()) == (pytest.approx(6, abs=0.1), pytest.approx(1, abs=0.1))
     assert set(draws.shown["outfit"]) == {0, 1}
     assert of.source.is_fresh and not sampler().source.is_fresh
 
@@ -91,9 +90,6 @@ def test_a_continuous_range_is_dealt_evenly_and_used_everywhere():
     assert of.source.directions == 36 and of.source.is_fresh
     counts = np.histogram(draws.shown["azimuth"], np.arange(0, 361, 10))[0]
     assert (abs(counts - 100) <= 4).all()
-    assert (
-        len(set(draws.shown["azimuth"])) == 3600
-        and draws.shown["elevation"].min() < -4
-        and draws.shown["elevation"].max() > 19
-    )
+    assert len(set(draws.shown["azimuth"])) == 3600
+    assert draws.shown["elevation"].min() < -4 and draws.shown["elevation"].max() > 19
     assert {type(camera.azimuth) for camera in cameras(of, 0)} == {float}

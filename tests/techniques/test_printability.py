@@ -9,9 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cloak_core.files.errors import InputError
-from cloak_core.techniques.printability import non_printability
+from cloak_core.techniques.printability import Printability
 from tests.core.fakes import tiny_settings
 from tests.core.test_training import run
+
+
+def non_printability(colors: torch.Tensor, palette: torch.Tensor) -> torch.Tensor:
+    return Printability(1.0, palette.numpy(), torch.device("cpu")).penalty(colors)[1]
 
 
 @given(st.integers(0, 2**31), st.integers(1, 40), st.integers(1, 60))

@@ -120,7 +120,7 @@ def _techniques(
         for spec in training.techniques
     ]
     techniques, coloring = build_techniques(settings, pattern, detectors, device, [made for made, _ in foreign])
-    files = techniques.content() | coloring.content()
+    files = {name: value for part in (*techniques, coloring) for name, value in part.content().items()}
     if foreign:
         files["techniques"] = [record for _, record in foreign]
     return techniques, coloring, files

@@ -42,30 +42,27 @@ def level(rng: np.random.Generator) -> Case:
     return x, y, np.repeat(rng.choice([0.25, 0.5, 0.75], len(triangles)), 3), triangles
 
 
-def aligned(rng: np.random.Generator) -> Case:
-    """Layers of rectangles on quarters of pixels: they overlap just as much as they leave open, or miss each other."""
+def rectangles(sides: list[tuple[int, int, int, int]], rng: np.random.Generator) -> Case:
+    """Level rectangles (left, top, right, bottom in quarters of pixels), each at a depth of its own."""
     x, y, triangles = [], [], []
-    for _ in range(9):
-        left, top = rng.integers(0, 7, 2) * (GRID // 4)
-        right, bottom = left + GRID // 2, top + GRID // 2
+    for left, top, right, bottom in sides:
         triangles += [[len(x), len(x) + 1, len(x) + 2], [len(x), len(x) + 2, len(x) + 3]]
         x += [left, right, right, left]
         y += [top, top, bottom, bottom]
-    return np.array(x), np.array(y), np.repeat(rng.uniform(0.1, 1, 9), 4), np.array(triangles)
+    near = np.repeat(rng.uniform(0.1, 1, len(sides)), 4)
+    return np.array(x) * (GRID // 4), np.array(y) * (GRID // 4), near, np.array(triangles)
+
+
+def aligned(rng: np.random.Generator) -> Case:
+    """Layers of rectangles on quarters of pixels: they overlap just as much as they leave open, or miss each other."""
+    corners = rng.integers(0, 7, (9, 2)).tolist()
+    return rectangles([(left, top, left + 2, top + 2) for left, top in corners], rng)
 
 
 def same_again(rng: np.random.Generator) -> Case:
     """The left half of a pixel four times over, and two quarters across a corner twice: areas that add up to whole
     pixels, and in part their moments, too, where half of the pixel is empty."""
-    half = [(0, 0, 2, 4)] * 4
-    quarters = [(4, 4, 6, 6), (6, 6, 8, 8)] * 2
-    x, y, near, triangles = [], [], [], []
-    for left, top, right, bottom in half + quarters:
-        triangles += [[len(x), len(x) + 1, len(x) + 2], [len(x), len(x) + 2, len(x) + 3]]
-        x += [left, right, right, left]
-        y += [top, top, bottom, bottom]
-        near += [rng.uniform(0.1, 1)] * 4
-    return np.array(x) * (GRID // 4), np.array(y) * (GRID // 4), np.array(near), np.array(triangles)
+    return rectangles([(0, 0, 2, 4)] * 4 + [(4, 4, 6, 6), (6, 6, 8, 8)] * 2, rng)
 
 
 def folded(rng: np.random.Generator) -> Case:
@@ -93,11 +90,8 @@ def shares(case: Case, size: int = SIZE) -> dict[tuple[int, int], float]:
     x, y, inverse_depth, triangles = case
     rows = torch.from_numpy(triangles.T.astype(np.int64)).contiguous()
     found = area_fragments(screen_of(x, y, inverse_depth, size, size), rows, None, Window(0, 0, size, size))
-    return {
-        key: share
-        for *key, share in zip(found.pixel.tolist(), found.triangle.tolist(), found.area.tolist(), strict=True)
-        for key in [tuple(key)]
-    }
+    keys = zip(found.pixel.tolist(), found.triangle.tolist(), strict=True)
+    return dict(zip(keys, found.area.tolist(), strict=True))
 
 
 def exact_shares(case: Case, size: int) -> dict:
@@ -201,11 +195,8 @@ def two_squares() -> Bodies:
 def test_views_are_those_of_the_reference(bodies: Bodies, camera: Camera) -> None:
     ours = matrix_of(ViewCache(bodies, RenderSettings(light=FLAT)).view(0, camera), bodies.face_count)
     exact = reference(bodies, camera, FLAT).matrix
-    dense = lambda m: (
-        torch.zeros(len(m.coverage), m.face_count)
-        .double()
-        .index_put_((m.pixel, m.face), m.weight.double(), accumulate=True)
-    )
+    zeros = torch.zeros(len(ours.coverage), bodies.face_count, dtype=torch.float64)
+    dense = lambda m: zeros.index_put((m.pixel, m.face), m.weight.double(), accumulate=True)
     assert (ours.coverage - exact.coverage).abs().max() < 1e-6
     assert (dense(ours) - dense(exact)).abs().max() < 1e-6 and exact.coverage.sum() > 20
 

@@ -1,6 +1,7 @@
 """A cloth on a body is seen as finely as the image can show it."""
 
 import numpy as np
+import pytest
 import torch
 
 from cloak_core.core.cameras import Camera
@@ -50,25 +51,17 @@ def shown(cloth: ClothPattern, colors: torch.Tensor, pixels_across: int) -> np.n
     return image[start : start + pixels_across, start : start + pixels_across]
 
 
-def test_squares_as_large_as_pixels_are_seen_one_by_one() -> None:
-    cloth = worn(40)
+@pytest.mark.parametrize(("pixels", "near"), [(40, 2e-3), (10, 5e-3)])
+def test_a_pixel_sees_its_square_or_the_mean_of_many(pixels: int, near: float) -> None:
+    cloth, side = worn(40), 40 // pixels
     colors = torch.rand(cloth.count, 3, generator=torch.Generator().manual_seed(0))
-    seen = shown(cloth, colors, 40)
+    seen = shown(cloth, colors, pixels)
     # The cloth begins in the middle of the body.
     printed = np.roll(colors.view(40, 40, 3).numpy(), (20, 20), axis=(0, 1))
+    means = printed.reshape(pixels, side, pixels, side, 3).mean(axis=(1, 3))
     # Pixels that the panel's diagonal cuts are lit in two parts, each at its own middle.
-    off_diagonal = ~np.eye(40, dtype=bool)[:, ::-1]
-    np.testing.assert_allclose(seen[off_diagonal], printed[off_diagonal], atol=2e-3)
-
-
-def test_a_pixel_that_covers_many_squares_sees_their_mean() -> None:
-    cloth = worn(40)
-    colors = torch.rand(cloth.count, 3, generator=torch.Generator().manual_seed(1))
-    seen = shown(cloth, colors, 10)
-    printed = np.roll(colors.view(40, 40, 3).numpy(), (20, 20), axis=(0, 1))
-    means = printed.reshape(10, 4, 10, 4, 3).mean(axis=(1, 3))
-    off_diagonal = ~np.eye(10, dtype=bool)[:, ::-1]
-    np.testing.assert_allclose(seen[off_diagonal], means[off_diagonal], atol=5e-3)
+    off_diagonal = ~np.eye(pixels, dtype=bool)[:, ::-1]
+    np.testing.assert_allclose(seen[off_diagonal], means[off_diagonal], atol=near)
 
 
 def test_a_cloth_far_away_costs_bounded_entries() -> None:

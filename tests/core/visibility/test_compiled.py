@@ -21,7 +21,7 @@ def test_a_place_for_compiled_loops_is_not_needed(monkeypatch) -> None:
 def test_kept_loops_are_stale_when_a_file_that_they_call_changes(tmp_path, monkeypatch) -> None:
     """numba alone would compare the caller's file and run what the callee was."""
     (tmp_path / "cpu").mkdir()
-    for name in ("compiled", "packing", "screen", "cpu/callee"):
+    for name in ("compiled", "screen", "cpu/callee"):
         (tmp_path / f"{name}.py").write_text("")
     monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
     compiled._source_stamp.cache_clear()

@@ -51,13 +51,9 @@ def edge_sum(x, y, hashes, a, b, c, twice, at):
 
 @inner
 def _edge(x, y, hashes, a, b, at):
-    return edge_hash(hashes, a, b) if may_cross(x, y, a, b, at) else np.int64(0)
-
-
-@inner
-def may_cross(x, y, a, b, at):
-    """Test whether the box of an edge reaches into a cell."""
+    """Compute the hash of an edge whose box reaches into a cell, else 0."""
     column, row, shift = at
     left, top, side = column << shift, row << shift, 1 << shift
     across = (max(x[a], x[b]) > left) & (min(x[a], x[b]) < left + side)
-    return across & (max(y[a], y[b]) > top) & (min(y[a], y[b]) < top + side)
+    may_cross = across & (max(y[a], y[b]) > top) & (min(y[a], y[b]) < top + side)
+    return edge_hash(hashes, a, b) if may_cross else np.int64(0)

@@ -117,14 +117,10 @@ def build_view(
     lit = torch.stack([fragments.area, highlight])
     coverage, specular = torch.zeros(2, len(pixels), device=row.device).index_add_(1, row, lit)
     if surface.by_face:
-        row, face, weight = _merge_faces(row, face, weight)
+        # The weights of a polygon's triangles within each pixel are summed.
+        entry, inverse = torch.unique(row * surface.face_count + face, return_inverse=True)
+        row = torch.div(entry, surface.face_count, rounding_mode="floor")
+        face = entry - row * surface.face_count
+        weight = weight.new_zeros(len(entry)).index_add_(0, inverse, weight)
     entries = SparseMap(offsets(row, len(pixels)), face, weight, surface.face_count)
     return View(screen.height, screen.width, pixels, coverage, specular, entries, uv, cloth)
-
-
-def _merge_faces(row: Tensor, face: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Sum the weights of a polygon's triangles within each pixel."""
-    count = int(face.max()) + 1 if len(face) else 1
-    entry, inverse = torch.unique(row * count + face, return_inverse=True)
-    row = torch.div(entry, count, rounding_mode="floor")
-    return row, entry - row * count, weight.new_zeros(len(entry)).index_add_(0, inverse, weight)
