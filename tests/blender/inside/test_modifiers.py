@@ -63,7 +63,6 @@ KEEP_FACES = {
     "multires at level 0": lambda obj: obj.modifiers.new("Multires", "MULTIRES"),
     "decimate by nothing": lambda obj: obj.modifiers.new("Decimate", "DECIMATE"),
 }
-making = pytest.mark.parametrize("add", MAKE_FACES.values(), ids=MAKE_FACES)
 
 
 @pytest.mark.parametrize("add", KEEP_FACES.values(), ids=KEEP_FACES)
@@ -80,15 +79,15 @@ def test_modifiers_that_change_no_face_do_not_block(add, tmp_path):
 # --- logos are carried -----------------------------------------------------------------------------------------------
 
 
-@making
-def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
+@pytest.mark.parametrize("add", MAKE_FACES.values(), ids=MAKE_FACES)
+def test_a_logo_and_its_colours_are_carried_to_the_faces_that_modifiers_make(add, tmp_path):
     obj = half_egg()
     own = len(obj.data.polygons)
     ids = np.flatnonzero(faces.read_faces(obj, "chest"))
     add(obj)
     bpy.context.view_layer.update()
     assert poses_reason(bpy.context) == ""
-    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
+    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input")
     bodies = read_scene(done.scene)
     assert np.array_equal(read_face_list(done.face_list, bodies).ids, ids)
     assert bodies.face_count == own and done.topology == topology(obj)
@@ -100,16 +99,7 @@ def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
     expected = sum(len(p.vertices) - 2 for p in evaluated.polygons if carried[p.index])
     assert np.isin(bodies.triangle_face, ids).sum() == expected > len(ids)
     assert CARRIED not in obj.data.attributes
-
-
-@making
-def test_trained_colours_are_seen_where_they_were_trained(add, tmp_path):
-    """Every evaluated face shows the colour of the own face that its triangles were exported with."""
-    obj = half_egg()
-    add(obj)
-    bpy.context.view_layer.update()
-    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input")
-    bodies, ids = read_scene(done.scene), read_face_list(done.face_list).ids
+    # Every evaluated face shows the colour of the own face that its triangles were exported with.
     trained = np.random.default_rng(0).random((len(ids), 3)).astype(np.float32)
     runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, ids, trained, bodies.topology, "run"))
     with numbered_faces([obj]):
