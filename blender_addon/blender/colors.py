@@ -34,8 +34,6 @@ LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
 """The materials that show it: unlit, so that every colour is the trained one, or lit as cloth."""
 SLOTS = "material_index"  # Blender's own face attribute: the material slot of each face
 GREY = 0.5
-HEAT_STOPS = ((0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75))
-"""sRGB from no heat to the most."""
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
@@ -300,14 +298,6 @@ def _material_colors(
     if node and node.bl_idname == "ShaderNodeRGB":
         return linear_to_srgb(node.outputs[0].default_value[:3])
     return linear_to_srgb(material.diffuse_color[:3])
-
-
-def heat_colors(heat: np.ndarray) -> np.ndarray:
-    """[F] heat to [F, 3] sRGB: dark blue through magenta and orange to pale yellow; the hottest 1 % saturate."""
-    top = float(np.quantile(heat, 0.99)) if heat.size else 0.0
-    level = np.clip(heat / top, 0, 1) if top > 0 else np.zeros(len(heat))
-    places = np.linspace(0, 1, len(HEAT_STOPS))
-    return np.stack([np.interp(level, places, channel) for channel in np.transpose(HEAT_STOPS)], -1)
 
 
 def view_transform_reason(scene: bpy.types.Scene) -> str:

@@ -173,6 +173,10 @@ class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", trains=True):
         return "Measuring which faces move the detector" + run_cloak("Heatmap", words, folder, "heatmap", show, True)
 
 
+HEAT_STOPS = ((0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75))
+"""sRGB from no heat to the most: dark blue through magenta and orange to pale yellow."""
+
+
 def heatmap_words(options: list[str], folder: Path) -> list[object]:
     """`cloak logo heatmap` of the first detector of a training, from `scene` to `heat.npy` in a folder."""
     known = [word for word in options if word.startswith(("--detector=", "--backgrounds=", "--angles=", "--device="))]
@@ -181,11 +185,15 @@ def heatmap_words(options: list[str], folder: Path) -> list[object]:
 
 
 def show_heat(obj: bpy.types.Object, heat: np.ndarray) -> None:
-    """Keep heat [F] on the mesh and show it in the viewports."""
+    """Keep heat [F] on the mesh and show it in the viewports; the hottest 1 % of the faces are the brightest."""
     heat = np.asarray(heat, np.float32)[: len(obj.data.polygons)]
     if heat.shape != (len(obj.data.polygons),):
         raise InputError(f"The heat map has {len(heat)} values for {len(obj.data.polygons)} faces: press Heatmap again")
-    colors.write_face_colors(obj, HEATMAP, colors.heat_colors(heat))
+    top = float(np.quantile(heat, 0.99)) if heat.size else 0.0
+    level = np.clip(heat / top, 0, 1) if top > 0 else np.zeros(len(heat))
+    places = np.linspace(0, 1, len(HEAT_STOPS))
+    shades = np.stack([np.interp(level, places, channel) for channel in np.transpose(HEAT_STOPS)], -1)
+    colors.write_face_colors(obj, HEATMAP, shades)
     make_layer(obj, HEAT).data.foreach_set("value", heat)
     colors.show_attribute(obj, HEATMAP)
 

@@ -54,7 +54,14 @@ def list_poses(obj: bpy.types.Object, choice: PoseChoice) -> list[Pose]:
             raise InputError(f"Frames {choice.start} to {choice.end}: the end lies before the start")
         poses = [Pose(f"frame {f}", f) for f in range(choice.start, choice.end + 1, choice.step)]
     else:
-        poses = _action_poses(obj, choice.step)
+        poses = []
+        for action in bpy.data.actions:
+            owner = next((o for o in _owners(obj) if _fits(action, o)), None)
+            first, last = map(round, action.frame_range)
+            frames = range(first, last + 1, choice.step) if owner is not None else ()
+            poses += [Pose(f"{action.name} {frame}", frame, owner, action) for frame in frames]
+        if not poses:
+            raise InputError(f"No action moves '{obj.name}': choose Current Pose or Frame Range, or add an action")
     if len(poses) > MAX_POSES:
         raise InputError(f"{len(poses)} poses are more than {MAX_POSES}: raise the frame step")
     return poses
@@ -63,18 +70,6 @@ def list_poses(obj: bpy.types.Object, choice: PoseChoice) -> list[Pose]:
 def _owners(obj: bpy.types.Object) -> list[bpy.types.ID]:
     """List what an action may animate: the armature (else the object) and the shape keys."""
     return [owner for owner in (armature_of(obj) or obj, obj.data.shape_keys) if owner is not None]
-
-
-def _action_poses(obj: bpy.types.Object, step: int) -> list[Pose]:
-    poses = []
-    for action in bpy.data.actions:
-        owner = next((o for o in _owners(obj) if _fits(action, o)), None)
-        first, last = map(round, action.frame_range)
-        frames = range(first, last + 1, step) if owner is not None else ()
-        poses += [Pose(f"{action.name} {frame}", frame, owner, action) for frame in frames]
-    if not poses:
-        raise InputError(f"No action moves '{obj.name}': choose Current Pose or Frame Range, or add an action")
-    return poses
 
 
 def _fits(action: bpy.types.Action, owner: bpy.types.ID) -> bool:

@@ -25,6 +25,7 @@ from .render_check import Verdict
 COARSE = "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"
 RENDERS = ("With the cloak", "Without")
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
+SEEN_ICON = {True: "HIDE_OFF", False: "HIDE_ON"}  # an eye, open or shut
 LATEST, SHOWN = 4, 6  # most outputs to list, most people in photographs to show
 SUCCESS = (
     "Share of the images in which the detector reports no person (from this score on), and the interval that holds the "
@@ -71,11 +72,6 @@ def show_rates(layout: bpy.types.UILayout, judged: Judged, threshold: float) -> 
             split.label(text=rates[index].describe())
 
 
-def show_icon(seen: bool) -> str:
-    """The icon that says whether somebody is seen."""
-    return "HIDE_OFF" if seen else "HIDE_ON"
-
-
 class CLOAK_PT_result(CloakPanel, label="5. Result"):
     """Step 5: the trained colours on the model"""
 
@@ -113,7 +109,7 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
         for check in checks if len(checks) > 1 or job is None or job.message != checks[0].describe() else ():
             words = f"{short(check.spec, 30)}: {said(check.describe())}" if len(checks) > 1 else check.describe()
             wrapped(self.layout, context, words, icon="CHECKMARK" if check.holds else "ERROR")
-        of_each = [[(f"{s:.2f}", show_icon(s > check.threshold)) for s in check.scores] for check in checks]
+        of_each = [[(f"{s:.2f}", SEEN_ICON[s > check.threshold]) for s in check.scores] for check in checks]
         pictures = [(path, lines, SCORE) for path, *lines in zip(checks[0].images, *of_each, strict=False)]
         half = len(checks[0].scores) // 2
         for name, shown in zip(RENDERS, (pictures[:half], pictures[half:]), strict=True):
@@ -175,7 +171,7 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True, trains=True)
         judging, watching = context.scene.cloak.judging, session.eye
         open_ = watching is not None
         text = "Close the Eye" if open_ else "Look"
-        self.layout.operator("cloak.eye", text=text, icon="HIDE_OFF" if open_ else "HIDE_ON", depress=open_)
+        self.layout.operator("cloak.eye", text=text, icon=SEEN_ICON[open_], depress=open_)
         settings_column(self.layout, judging, "eye_from", "eye_background")
         if watching is None:
             if session.eye_closed_because:
@@ -189,7 +185,7 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True, trains=True)
             pictures = []
             for kind, path in watching.seen.pictures.items():
                 glances = [seen[kind] for seen in watching.seen.glances.values() if kind in seen]
-                lines = [(glance.describe(), show_icon(glance.found)) for glance in glances]
+                lines = [(glance.describe(), SEEN_ICON[glance.found]) for glance in glances]
                 pictures.append((path, [(eye.KINDS[kind][0], "NONE"), *lines], ""))
             show_pictures(self.layout, len(pictures), 6.0, pictures)
 

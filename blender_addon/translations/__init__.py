@@ -22,15 +22,6 @@ def words() -> dict[str, dict[str, str]]:
     return tomllib.loads(Path(__file__).with_name("words.toml").read_text("utf-8"))
 
 
-def dictionaries() -> dict[str, dict[tuple[str, str], str]]:
-    """What Blender is told: for each language's name, (context, text) and what is shown; Blender 5 has short names."""
-    return {
-        name: {(context, text): translations[short] for text, translations in words().items() for context in CONTEXTS}
-        for language, short in LANGUAGES.items()
-        for name in (language, short)
-    }
-
-
 def said(sentence: str) -> str:
     """Translate a sentence into the language of Blender's interface, if a translation exists."""
     language = bpy.app.translations.locale[:2]
@@ -62,7 +53,12 @@ def _patterns() -> list[tuple[re.Pattern, str]]:
 
 
 def register() -> None:
-    bpy.app.translations.register(__package__, dictionaries())
+    """Tell Blender what is shown for each context and text, by the languages' names; Blender 5 has short names."""
+    told = {}
+    for language, short in LANGUAGES.items():
+        shown = {(context, text): of[short] for text, of in words().items() for context in CONTEXTS}
+        told |= {language: shown, short: shown}
+    bpy.app.translations.register(__package__, told)
 
 
 def unregister() -> None:
