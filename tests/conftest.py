@@ -2,6 +2,7 @@
 
 import gc
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 # Of several pytest processes each gets one thread; before anything imports torch.
@@ -30,6 +31,19 @@ os.environ["CLOAK_CACHE"] = "off"
 # it says in words what is wrong with what a program gives it.
 ROOMS = {path.parent.name for path in Path(cloak_core.__file__).parent.glob("*/__init__.py")} - {"commands", "library"}
 check_rooms([f"cloak_core.{room}" for room in sorted(ROOMS)])
+
+
+@pytest.fixture
+def cloak(capsys: pytest.CaptureFixture) -> Callable[..., tuple[int, str, str]]:
+    """Call the command line in this process: its exit code, and what it wrote to standard output and error."""
+    from cloak_core import cli  # not before its rooms are checked
+
+    def call(*words: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            cli.main([str(word) for word in words])
+        return (end.value.code or 0, *capsys.readouterr())
+
+    return call
 
 
 @pytest.fixture(scope="session")

@@ -20,9 +20,8 @@ from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.page import write_card
 from cloak_core.studies.store import RunStore
 from cloak_core.studies.transfer import gather
-from tests.studies import test_card as cards
 from tests.studies import test_transfer_matrix as matrices
-from tests.studies.made_split import make_options, make_split
+from tests.studies.made_split import TINY, Bulb, make_options, make_split, make_store
 
 TIMES = ("seconds", "time", "made", "date", "ms")
 """Words in the names of figures that differ from run to run."""
@@ -30,7 +29,7 @@ TIMES = ("seconds", "time", "made", "date", "ms")
 
 def assess(out: Path) -> object:
     """A card of a tiny budget."""
-    Assessment(cards.make_store(out, cards.Glow("glow")), cards.TINY, out / "glow", []).run()
+    Assessment(make_store(out, Bulb("glow")), TINY, out / "glow", []).run()
     write_card(out / "glow")
     return json.loads((out / "glow" / "card.json").read_text())
 

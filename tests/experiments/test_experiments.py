@@ -8,13 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core.cli import main
+from cloak_core.commands.reproduce import Reproduce
 from cloak_core.core.logo import area_share
 from cloak_core.experiments.declared.defences import beats_adaptive, longest_adaptive
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
 from cloak_core.experiments.options import EXPERIMENTS
 from cloak_core.experiments.publish import make_page, publish
-from cloak_core.experiments.runner import draw_again, experiments, measure, measure_part, run_experiment
+from cloak_core.experiments.runner import (
+    draw_again,
+    experiments,
+    find,
+    measure,
+    measure_part,
+    paper_rows,
+    run_experiment,
+)
 from cloak_core.files.errors import InputError
 from cloak_core.studies import store, training_store
 from cloak_core.studies.store import DataSplit, RunStore
@@ -99,7 +107,7 @@ def test_publishing_replaces_the_rows_of_its_study_and_keeps_others(tmp_path: Pa
 
 @pytest.mark.slow
 def test_figures_come_from_the_numbers_alone(
-    finished: tuple[Path, dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    finished: tuple[Path, dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cloak
 ) -> None:
     shutil.copytree(finished[0] / "transfer", tmp_path / "transfer")
     drawn_again("transfer", tmp_path)
@@ -111,14 +119,12 @@ def test_figures_come_from_the_numbers_alone(
     (tmp_path / "shape/numbers.json").write_text(earlier.replace('"transfer-', '"shape-'))
     for file in record["figures"]:
         (tmp_path / "shape" / file).write_bytes((tmp_path / "transfer" / file).read_bytes())
-    with pytest.raises(SystemExit, match="0"):
-        main(["reproduce", "all", "--redraw", "--out", str(tmp_path), "--json"])
-    result = json.loads(capsys.readouterr().out)
-    assert result["experiments"].keys() == {"transfer"}
+    code, out, _ = cloak("reproduce", "all", "--redraw", "--out", tmp_path, "--json")
+    result = json.loads(out)
+    assert code == 0 and result["experiments"].keys() == {"transfer"}
     assert result["skipped"].keys() == {"shape"} and (tmp_path / "shape/numbers.json").read_text() == earlier
-    with pytest.raises(SystemExit, match="2"):
-        main(["reproduce", "shape", "--redraw", "--out", str(tmp_path)])
-    assert "not a cloak experiment" in capsys.readouterr().err
+    code, _, err = cloak("reproduce", "shape", "--redraw", "--out", tmp_path)
+    assert code == 2 and "not a cloak experiment" in err
 
 
 @pytest.mark.long
@@ -199,3 +205,46 @@ def test_what_the_parts_of_an_experiment_made_is_found_by_the_whole(
     for module, name in ((training_store, "train"), (store, "measure_frozen")):
         monkeypatch.setattr(module, name, lambda *given, **more: pytest.fail("made again"))
     assert len(measure(transfer, run_store).rows) == 4
+
+
+# --- what an experiment is going to do, and one row of it
+
+FEW = ("--quick", "--steps", "2", "--device", "cpu", "--threads", "1")
+
+
+@pytest.mark.slow
+def test_a_row_that_does_not_exist_names_those_that_do(tmp_path, cloak):
+    code, _, err = cloak("reproduce", "table1", "--only", "hat", "--out", str(tmp_path), *FEW)
+    assert code == 2 and "--only hat: no such row (1 letter G, single, builtin;" in err
+    code, _, err = cloak("reproduce", "all", "--only", "1", "--out", str(tmp_path), *FEW)
+    assert code == 2 and "--only: names rows of one experiment" in err
+    code, _, err = cloak("reproduce", "table1", "--only", "1", "--publish", str(tmp_path / "d"), *FEW)
+    assert code == 2 and "--publish: takes whole experiments" in err and not (tmp_path / "d").exists()
+
+
+@pytest.mark.long
+def test_one_row_is_made(tmp_path, cloak):
+    code, out, err = cloak("reproduce", "single-angle", "--only", "1", "--out", str(tmp_path), "--json", *FEW)
+    assert code == 0, err
+    (row,) = json.loads(out)["rows"]
+    assert 0 <= row["success"] <= 1 and "1 of 1: builtin" in err
+
+
+@pytest.mark.slow
+def test_rows_are_listed_with_their_times(tmp_path, cloak):
+    code, out, err = cloak("reproduce", "table1", "--list", "--out", str(tmp_path), "--json", *FEW)
+    assert code == 0, err
+    rows = json.loads(out)["plan"]["table1"]
+    assert [row["number"] for row in rows] == list(range(1, len(rows) + 1)) and len(rows) > 4
+    assert any("smiley" in row["name"] and "multi" in row["name"] for row in rows)
+    assert all(row["updates"] == 2 and row["seconds"] > 0 for row in rows)
+    assert not list(tmp_path.glob("runs/*"))
+
+
+def test_a_row_is_shown_beside_the_papers(capsys):
+    row = {"logo": "smiley", "training": "single", "detector": "builtin", "success": 0.5, "low": 0.4, "high": 0.61}
+    paper = paper_rows(find("table1"), [row])
+    assert {told["logo"] for told in paper} == {"smiley"} and len(paper) == 2
+    Reproduce(name="table1").show({"experiments": {}, "page": "", "rows": [row], "paper": paper})
+    lines = [line.strip("│ ").split() for line in capsys.readouterr().out.splitlines()]
+    assert ["success", "│", "50", "%"] in lines and ["single", "│", "98", "%", "│", "51", "%"] in lines

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
-from cloak_core import cli
 from cloak_core.exchange.profiles import Profile, read_profile
 from cloak_core.files.errors import InputError
 from cloak_core.products import chart
@@ -171,10 +170,9 @@ def test_bad_profiles_are_refused(tmp_path, arrays, words):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_chart_and_a_profile(tmp_path, capsys):
-    with pytest.raises(SystemExit) as end:
-        cli.main(["calibrate", "--chart", str(tmp_path / "chart.pdf"), "--json"])
-    assert end.value.code == 0 and validate("calibrate", capsys.readouterr().out)["patches"] == 352
+def test_the_command_writes_a_chart_and_a_profile(tmp_path, cloak):
+    code, out, _ = cloak("calibrate", "--chart", tmp_path / "chart.pdf", "--json")
+    assert code == 0 and validate("calibrate", out)["patches"] == 352
     assert (tmp_path / "chart.pdf").read_bytes().startswith(b"%PDF")
     lines = (tmp_path / "chart.csv").read_text().splitlines()
     head, rows = lines[0], [line.split(",") for line in lines[1:]]
@@ -182,13 +180,10 @@ def test_the_command_writes_a_chart_and_a_profile(tmp_path, capsys):
     measured += [",".join(row[:5] + [str(int(v) // 2 + 40) for v in row[2:5]]) for row in rows]
     assert head == measured[0]
     (tmp_path / "seen.csv").write_text("\n".join(measured))
-    with pytest.raises(SystemExit) as end:
-        cli.main(["calibrate", "--measured", str(tmp_path / "seen.csv"), "--out", str(tmp_path / "p.npz"), "--json"])
-    told = validate("calibrate", capsys.readouterr().out)
-    assert end.value.code == 0 and told["patches"] == 352 and told["de2000_after"] < 1 < told["de2000_before"]
-    with pytest.raises(SystemExit) as end:
-        cli.main(["calibrate", "--out", str(tmp_path / "q.npz")])
-    assert end.value.code == 2
+    code, out, _ = cloak("calibrate", "--measured", tmp_path / "seen.csv", "--out", tmp_path / "p.npz", "--json")
+    told = validate("calibrate", out)
+    assert code == 0 and told["patches"] == 352 and told["de2000_after"] < 1 < told["de2000_before"]
+    assert cloak("calibrate", "--out", tmp_path / "q.npz")[0] == 2
 
 
 def test_grey_patches_alone_are_refused():

@@ -1,4 +1,4 @@
-"""Tiny detectors and a small data split to train and judge on within seconds."""
+"""Tiny detectors, a small data split and a tiny card, to train and judge on within seconds."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,10 +7,12 @@ import torch
 from torch import Tensor
 
 from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.core.evaluation.settings import StoreOptions
 from cloak_core.experiments.options import Options
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.store import DataSplit
+from cloak_core.studies.card.protocol import Size
+from cloak_core.studies.store import DataSplit, RunStore
 
 
 class Glow(Detector):
@@ -45,3 +47,21 @@ def make_options(out: Path, **changes: object) -> Options:
     return replace(
         Options(out=out, quick=True, steps=(2,), batch=2, images_per_view=1, size=48, samples=1, seeds=2), **changes
     )
+
+
+# --- a robustness card
+
+TINY = Size("tiny", 2, 1, 10, 180, 1, 6, 4, 3, 2, areas=(0.05, 0.76), pixels=48)
+
+
+class Bulb(Glow):
+    """A person is what is bright in the middle."""
+
+    def __init__(self, name: str, differentiable: bool = True) -> None:
+        super().__init__(name, 0)
+        self.differentiable, self.operating_point = differentiable, 0.25
+
+
+def make_store(out: Path, detector: Detector) -> RunStore:
+    split = replace(make_split(), detectors={detector.spec: detector})
+    return RunStore(split, StoreOptions(out=out, batch=2, size=TINY.pixels, samples=1, seeds=1), lambda _: None)

@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from cloak_core.cli import main
 from cloak_core.core.evaluate import MEASUREMENT_VERSION
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json
@@ -24,7 +23,7 @@ from cloak_core.studies.card.leaderboard import add_cards, build_board, check_to
 from cloak_core.studies.card.page import write_card
 from cloak_core.studies.card.protocol import SIZES, parts_of
 from tests.schemas import validate
-from tests.studies.made_cards import TINY, Glow
+from tests.studies.made_split import TINY, Bulb
 
 
 @pytest.fixture
@@ -53,19 +52,16 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_cards_join_and_the_page_sorts_and_filters(worn: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    board_folder, named = tmp_path / "board", [str(worn / "glow"), str(worn / "dark/card.json")]
-    with pytest.raises(SystemExit, match="0"):
-        main(["leaderboard", "add", *named, "--to", str(board_folder), "--json"])
-    joined = [Path(path) for path in validate("leaderboard add", capsys.readouterr().out)["added"]]
+def test_cards_join_and_the_page_sorts_and_filters(worn: Path, tmp_path: Path, cloak) -> None:
+    board_folder, named = tmp_path / "board", (worn / "glow", worn / "dark/card.json")
+    code, out, _ = cloak("leaderboard", "add", *named, "--to", board_folder, "--json")
+    joined = [Path(path) for path in validate("leaderboard add", out)["added"]]
     assert [re.sub("-[0-9a-f]{12}", "", path.name) for path in joined] == ["glow", "dark-net"]
     copied, own = contents(joined[0]), contents(worn / "glow")
     assert own.keys() - copied.keys() == {"spent.json"} and copied.keys() <= own.keys()
     assert json.loads(copied["card.json"]) == json.loads(own["card.json"])
-    with pytest.raises(SystemExit, match="0"):
-        main(["leaderboard", "build", str(board_folder), "--json"])
-    built = validate("leaderboard build", capsys.readouterr().out)
-    assert built["cards"] == ["glow", "dark:net.onnx"]
+    built = validate("leaderboard build", cloak("leaderboard", "build", board_folder, "--json")[1])
+    assert code == 0 and built["cards"] == ["glow", "dark:net.onnx"]
     page, table = map(Path, built["files"])
     text = page.read_text("utf-8")
     assert f'href="{joined[0].name}/card.html"' in text and (joined[0] / "card.html").exists()
@@ -158,10 +154,7 @@ def test_every_value_of_a_card_is_held_against_something(cards: Path, monkeypatc
         ("card['protocol'] = '1'", "protocol is '1'; this version has '2'"),
         ("card['format'] = 'x'", "format is 'x', not a cloak card"),
         ("card['size'] = 'huge'", "size is 'huge', none of quick, standard, full, tiny"),
-        (
-            "card['versions']['measurement'] = 3",
-            f"measurement is 3; computed anew it is {MEASUREMENT_VERSION}",
-        ),
+        ("card['versions']['measurement'] = 3", f"measurement is 3; computed anew it is {MEASUREMENT_VERSION}"),
         ("card['made'] = {}", "made has no 'cloak'"),
         ("card['made']['cloak'] = 'a\\nb'", "made.cloak: 'a\\nb' is not a line of text"),
         ("card['materials']['detectors'] = {}", "materials.detectors has no digest of glow"),
@@ -174,23 +167,19 @@ def test_every_value_of_a_card_is_held_against_something(cards: Path, monkeypatc
         ("card['patterns'][0]['name'] = '../x'", "patterns[0].name: '../x' is not a name"),
     ],
 )
-def test_what_does_not_hold_is_one_line(
-    statement: str, said: str, cards: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_what_does_not_hold_is_one_line(statement: str, said: str, cards: Path, tmp_path: Path, cloak) -> None:
     folder = change(cards / "glow", statement)
-    with pytest.raises(SystemExit, match="2"):
-        main(["leaderboard", "add", str(folder / "card.json"), "--to", str(tmp_path / "board")])
-    words = capsys.readouterr().err.replace("\n", " ")
-    assert said in words and not (tmp_path / "board").exists()
+    code, _, words = cloak("leaderboard", "add", folder / "card.json", "--to", tmp_path / "board")
+    assert code == 2 and said in words.replace("\n", " ") and not (tmp_path / "board").exists()
 
 
 @pytest.mark.slow
 def test_a_card_is_held_against_detectors_and_other_cards(cards: Path, tmp_path: Path) -> None:
-    detector = Glow("glow")
+    detector = Bulb("glow")
     detector.operating_point_assumed = False
     with pytest.raises(InputError, match="operating_point_assumed differs from that of the detector at hand"):
         add_cards([cards / "glow"], tmp_path / "board", {"glow": detector})
-    (joined,) = add_cards([cards / "glow"], tmp_path / "board", {"glow": Glow("glow")})
+    (joined,) = add_cards([cards / "glow"], tmp_path / "board", {"glow": Bulb("glow")})
     change(cards / "glow", "card['materials']['detectors']['glow'] = 'f' * 64")
     with pytest.raises(InputError, match=rf"materials.detectors.glow differs .* {joined}.*they do not compare"):
         add_cards([cards / "glow"], tmp_path / "board", {})
@@ -209,9 +198,7 @@ def test_a_card_is_held_against_detectors_and_other_cards(cards: Path, tmp_path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("named", [".", "card.json", "..", "glow"])
-def test_nothing_that_is_not_a_card_is_removed(
-    named: str, cards: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_nothing_that_is_not_a_card_is_removed(named: str, cards: Path, monkeypatch: pytest.MonkeyPatch, cloak) -> None:
     """A leaderboard with files of its own, which is a card's folder itself; `add` is called within it."""
     for name in (".git/HEAD", "README.md", "glow/notes.txt", "rows/mine.txt"):
         (cards / name).parent.mkdir(exist_ok=True)
@@ -219,12 +206,11 @@ def test_nothing_that_is_not_a_card_is_removed(
     shutil.copytree(cards / "dark", cards, dirs_exist_ok=True)
     before = contents(cards.parent)
     monkeypatch.chdir(cards)
-    with pytest.raises(SystemExit) as end:
-        main(["leaderboard", "add", named, "--to", "."])
+    code, _, err = cloak("leaderboard", "add", named, "--to", ".")
     after = contents(cards.parent)
     gone = {name for name in before if after.get(name) != before[name]}
     replaced = {".": "cards/dark/", "card.json": "cards/dark/", "glow": "cards/glow/card.json", "..": "none"}[named]
-    assert end.value.code == (2 if named == ".." else 0), capsys.readouterr().err
+    assert code == (2 if named == ".." else 0), err
     assert all(name.startswith(replaced) for name in gone) and bool(gone) == (named != "..")
 
 

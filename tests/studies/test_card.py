@@ -1,17 +1,21 @@
-"""The robustness card on tiny images: a fake detector under a tiny budget, its page, and several side by side."""
+"""The robustness card on tiny images: a fake detector under a tiny budget, its pages, its figures, what people wear."""
 
 import itertools
 import json
+import math
 import re
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from cloak_core.cli import main
 from cloak_core.commands.assess import Assess
+from cloak_core.commands.wear import expanded
 from cloak_core.core.logo import area_share
 from cloak_core.core.source import NOBODY
 from cloak_core.core.visibility.threads import torch_threads
@@ -23,10 +27,14 @@ from cloak_core.studies.card import words
 from cloak_core.studies.card.assess import Assessment
 from cloak_core.studies.card.leaderboard import gather, write_leaderboard
 from cloak_core.studies.card.page import leaderboard_row, write_card, write_comparison
-from cloak_core.studies.card.protocol import AREAS, QUICK, Part, nested_areas
+from cloak_core.studies.card.protocol import AREAS, GREY_HEAD, HEADS, QUICK, Part, nested_areas
+from cloak_core.studies.card.words import worn_rows
+from cloak_core.studies.opening import open_pattern
 from cloak_core.studies.pace import Pace
+from cloak_core.studies.report.words import duration, percent
+from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
 from tests.schemas import validate
-from tests.studies.made_cards import TINY, Glow, make_store
+from tests.studies.made_split import TINY, Bulb, make_store
 
 
 @pytest.mark.slow
@@ -67,7 +75,7 @@ def test_it_is_made_once_and_the_same_again(made: tuple[Path, dict, list], monke
         monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("made again"))
     left = out / "glow" / ".spent.json.1yv8pe0c"  # of a writer that was killed
     left.touch()
-    again = Assessment(make_store(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"]).run()
+    again = Assessment(make_store(out, Bulb("glow")), TINY, out / "glow", ["builtin-sample"]).run()
     assert again == card  # its seconds, too: of what was done before, no more
     assert not left.exists()
 
@@ -153,23 +161,21 @@ def test_cloaks_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
 def test_minutes_take_the_largest_size_that_fits_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = Assess(specs=("glow",), out=tmp_path, minutes=30.0)
     monkeypatch.setattr(Assess, "split", lambda *_, **__: None)
-    monkeypatch.setattr(store, "RunStore", lambda *_: make_store(tmp_path, Glow("glow")))
+    monkeypatch.setattr(store, "RunStore", lambda *_: make_store(tmp_path, Bulb("glow")))
     paces = {"full": 9000.0, "standard": 4000.0, "quick": 600.0}
     told = lambda self, pace: (paces[self.size.name], Pace(0.03, 0.096))
     monkeypatch.setattr(Assessment, "seconds_left", told)
-    chosen = command._choose("glow", Glow("glow"), tmp_path / "glow", NOBODY, ())
+    chosen = command._choose("glow", Bulb("glow"), tmp_path / "glow", NOBODY, ())
     assert chosen.size is QUICK
     said = r"--minutes 5: glow: size quick, the smallest, takes about 10 min .*96 ms a forward and backward"
     with pytest.raises(InputError, match=said):
-        replace(command, minutes=5.0)._choose("glow", Glow("glow"), tmp_path / "glow", NOBODY, ())
+        replace(command, minutes=5.0)._choose("glow", Bulb("glow"), tmp_path / "glow", NOBODY, ())
 
 
 @pytest.mark.parametrize("size", [["--quick", "--full"], ["--size", "full", "--minutes", "3"], []])
-def test_bad_options_are_one_line(size: list[str], tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["assess", *["builtin"] * bool(size), *size, "--out", str(tmp_path)])
-    said = "--size, --quick, --full, --minutes: one of them" if size else "holds no card"
-    assert said in capsys.readouterr().err
+def test_bad_options_are_one_line(size: list[str], tmp_path: Path, cloak) -> None:
+    code, _, err = cloak("assess", *["builtin"] * bool(size), *size, "--out", tmp_path)
+    assert code == 2 and ("--size, --quick, --full, --minutes: one of them" if size else "holds no card") in err
 
 
 def short_card(**changes: object) -> dict:
@@ -228,3 +234,137 @@ def test_the_card_says_what_renders_are_worth_in_photographs() -> None:
     assert (photographed["value"], rendered["value"]) == ("0 %", "99 %")
     said = "hides 0 % (95 % interval 0 – 9 %): what hides on renders does not hide there."
     assert said in words.headline(card)
+
+
+@pytest.mark.slow
+def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(worn: Path) -> None:
+    card = json.loads((worn / "glow/card.json").read_text())
+    assert card["left_patterns"] == ["white@tile=0.2"], "the size has two"
+    (row,) = card["patterns"]
+    assert row["name"] == "white@tile=0.5", "a patch is worn in photographs alone"
+    assert row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
+    rows = card["photographs"]["rows"]
+    shown = ["made against it", "zoo:builtin-sample", "white@tile=0.5", "white@patch=0.3"]
+    assert list(rows)[:4] == shown and card["photographs"]["people"] == 2
+    assert [rows[name]["state"] for name in shown] == ["at least", "measured", "measured", "measured"]
+    assert rows["clothing"]["success_05"] is not None and rows["clothing"]["masr"] is not None
+    assert list(rows)[4:7] == [*HEADS, GREY_HEAD] and list(worn_rows(card)) == shown, "no headline of covered heads"
+
+
+TABLE = """
+[tcega]
+file = "white.png"
+put_on = "cloth"
+metres = 0.25
+trained_on = "YOLOv2"
+source = "somewhere"
+licence = "MIT"
+
+[other]
+file = "white.png"
+put_on = "patch"
+metres = 0.3
+trained_on = "nothing"
+source = "here"
+licence = "CC0-1.0"
+"""
+
+
+def test_a_pattern_folder_says_how_each_picture_is_put_on(tmp_path: Path) -> None:
+    Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    with pytest.raises(InputError, match=r"lacks patterns\.toml .*put_on, metres"):
+        pattern_specs(str(tmp_path))
+    (tmp_path / "patterns.toml").write_text(TABLE)
+    specs = [f"{tmp_path}/white.png@tile=0.25", f"{tmp_path}/white.png@patch=0.3"]
+    assert (
+        pattern_specs(str(tmp_path)) == pattern_specs(f"{tmp_path}/patterns.toml") == expanded(str(tmp_path)) == specs
+    )
+    assert pattern_specs("white.png@tile=0.5") == ["white.png@tile=0.5"]
+    assert [open_pattern(spec)[0].period for spec in specs] == [0.25, None]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('file = "white.png"\nput_on = "cloth"', 'file = "gone.png"\nput_on = "cloth"', "file 'gone.png' is missing"),
+        ('file = "white.png"\nput_on = "cloth"', 'file = "../x.png"\nput_on = "cloth"', "lies outside its folder"),
+        ('put_on = "cloth"', 'put_on = "hat"', "put_on is 'hat', neither cloth nor patch"),
+        ("metres = 0.25", "metres = 9", "metres is 9, not between 0.01 and 5"),
+        ("metres = 0.25", "metres = true", "metres is True"),
+        ('licence = "MIT"', "", r"\[tcega\] lacks licence"),
+        ('licence = "MIT"', 'licence = "MIT"\nsize = 3', r"\[tcega\] has size, which is none of"),
+        ('source = "somewhere"', "source = 3", "source is 3, not text"),
+    ],
+)
+def test_what_is_wrong_with_a_pattern_folder_is_named(old: str, new: str, said: str, tmp_path: Path) -> None:
+    Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    (tmp_path / "patterns.toml").write_text(TABLE.replace(old, new, 1))
+    with pytest.raises(InputError, match=rf"patterns.toml: .*{said}"):
+        read_patterns(tmp_path)
+
+
+TEMPLATE = Path(words.__file__).parents[1] / "report" / "templates" / "card.html"
+FIGURE = re.compile(r"(?<![\w.#-])\d+(?:,\d{3})*(?:\.\d+)?(?: ?%)?(?![\w%])")
+WORDED = "overlap of at least 0.5; at 0.6; 95 %; AP50 95; half; 0.05 0.95; 0 1"
+"""Figures of sentences that the code has, not the template."""
+
+
+def leaves(value: object) -> Iterator[object]:
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    yield from (leaf for part in parts for leaf in leaves(part))
+    if isinstance(value, dict):
+        yield from value
+    if not isinstance(value, (dict, list)):
+        yield value
+
+
+def written(card: dict) -> set[str]:
+    """Every way in which the page may write a value of the card."""
+    found: set[str] = set()
+    for value in leaves(card):
+        if isinstance(value, bool) or value is None:
+            continue
+        if isinstance(value, str):
+            found.update(FIGURE.findall(value))
+            continue
+        found |= {f"{value:g}", f"{value:,}", str(value), f"{100 * value:.1f}", f"{value:.2f}"}
+        if 0 <= value <= 1:
+            found |= {
+                percent(float(value)),
+                percent(float(value)).removesuffix(" %"),
+                f"{value:.0%}",
+                f"{100 * value:.0f}",
+            }
+        found.add(f"{math.floor(100 * value) / 100:.2f}")  # a score below the threshold is not rounded up to it
+    return found
+
+
+def figures(page: str) -> tuple[set[str], set[str]]:
+    """Figures of the page's text, and of its plots but for their axes."""
+    page = re.sub(r"<(style|pre|head)\b.*?</\1>", "", page, flags=re.DOTALL)
+    plots = re.findall(r"<svg\b(?! class=\"shot\").*?</svg>", page, flags=re.DOTALL)
+    text = re.sub(r"<svg\b.*?</svg>", "", page, flags=re.DOTALL)
+    said = lambda part: set(FIGURE.findall(unescape(re.sub(r"<[^>]+>", " ", part))))
+    labels = [label for plot in plots for label in re.findall(r"<text\b[^>]*>(.*?)</text>", plot, re.DOTALL)]
+    return said(text), {figure for label in labels for figure in said(label) if figure.endswith("%")}
+
+
+def unknown(folder: Path, page: str) -> set[str]:
+    """Figures on the page that neither the card has, nor what stands under its pictures."""
+    card, pictures = (json.loads((folder / name).read_text("utf-8")) for name in ("card.json", "pictures.json"))
+    template = re.sub(r"{[{%].*?[}%]}", " ", TEMPLATE.read_text("utf-8"), flags=re.DOTALL)
+    took = FIGURE.findall(duration(card["seconds"]))
+    constant = {*took, *FIGURE.findall(" ".join([template, *words.ALWAYS, WORDED]))}
+    known = written(card) | written(pictures) | constant
+    in_text, in_plots = figures(page)
+    assert len(in_text) > 10
+    return (in_text - known) | (in_plots - written(card) - {f"{tick} %" for tick in range(0, 101, 10)})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["glow", "dark"])
+def test_every_figure_on_the_page_is_the_cards(name: str, made: tuple[Path, dict, list]) -> None:
+    folder = made[0] / name
+    page = (folder / "card.html").read_text("utf-8")
+    assert not unknown(folder, page)
+    assert unknown(folder, page.replace("</h1>", "</h1><p>hidden in 77 %, 1,234 images</p>")) == {"77 %", "1,234"}

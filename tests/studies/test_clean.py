@@ -45,11 +45,13 @@ def test_every_body_at_every_angle_counts_once_per_image():
     assert result == {"clean_recall": 2 / 3, "false_alarms": 0.0, "n": 18, "backgrounds": 5, "alarms": []} | own
 
 
-def test_the_detectors_own_point_counts_beside():
+def test_false_alarms_are_counted_on_bare_backgrounds_and_the_detectors_own_point_beside():
     detector = RedDetector()
     detector.operating_point = 1.0  # it never says more
     result = check_scene(detector, body(), places(2, 8), (0.0,), images_per_view=1)
     assert result["clean_recall_own"] == result["false_alarms_own"] == 0 < result["clean_recall"]
+    assert result["false_alarms"] == 0.25 and result["n"] == 3
+    assert result["alarms"] == [{"background": name, "score": 1.0} for name in ("0", "1")]
 
 
 @pytest.mark.slow
@@ -58,9 +60,3 @@ def test_renders_to_check_detectors_on():
     assert images.shape == (3, 3, 40, 64) and images.dtype == torch.uint8 and len(images.unique()) > 50
     assert torch.equal(images, clean_renders(3, (40, 64))) and not torch.equal(images[0], images[1])
     assert clean_renders(0, (40, 64)).shape == (0, 3, 40, 64)
-
-
-def test_false_alarms_are_counted_on_bare_backgrounds():
-    result = check_scene(RedDetector(), body(), places(2, 8), (0.0,), images_per_view=1)
-    assert result["false_alarms"] == 0.25 and result["n"] == 3
-    assert result["alarms"] == [{"background": name, "score": 1.0} for name in ("0", "1")]

@@ -9,7 +9,6 @@ import torch
 from pycocotools.coco import COCO
 from torchvision.datasets import CocoDetection
 
-from cloak_core.cli import main
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import load_logo
@@ -97,21 +96,17 @@ def test_run_lengths_are_those_of_pycocotools(seed: int) -> None:
     assert np.array_equal(masks.decode(packed), mask)
 
 
-def test_the_command_takes_a_run_and_overwrites_nothing(
-    red: FacePattern, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_the_command_takes_a_run_and_overwrites_nothing(red: FacePattern, tmp_path: Path, cloak) -> None:
     run = tmp_path / "run"
     run.mkdir()
     inputs = {"scene": "sample:train", "backgrounds": "procedural:train"}
     (run / "config.json").write_text(json.dumps({"inputs": inputs, "detectors": [{"spec": "builtin"}]}))
     write_colors(run / "colors.npy", red.colors)
     np.save(run / "logo.npy", red.cover.face_ids)
-    asked = ["export", "coco", str(run), "--out", str(tmp_path / "out"), "--json", "--size", "48", "--angles", "0"]
+    asked = ["export", "coco", run, "--out", tmp_path / "out", "--json", "--size", "48", "--angles", "0"]
     asked += ["--backgrounds", "procedural:test:2", "--scene", "sample:unseen[0:1]"]
-    with pytest.raises(SystemExit, match="0"):
-        main(asked)
-    told = json.loads(capsys.readouterr().out)
-    assert told["images"] == 2 and len(COCO(told["file"]).imgs) == 2
-    with pytest.raises(SystemExit, match="2"):
-        main(asked)
-    assert "exists already" in capsys.readouterr().err
+    code, out, _ = cloak(*asked)
+    told = json.loads(out)
+    assert code == 0 and told["images"] == 2 and len(COCO(told["file"]).imgs) == 2
+    code, _, err = cloak(*asked)
+    assert code == 2 and "exists already" in err

@@ -10,7 +10,6 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from cloak_core.cli import main
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import EvaluateSettings, FilmSettings
 from cloak_core.core.logo import Logo, load_logo
@@ -211,15 +210,13 @@ def test_an_evaluation_leaves_a_turntable_unless_it_is_tiny(logo: Logo, white: B
 
 
 @pytest.mark.slow
-def test_the_command_says_what_the_contract_promises(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_command_says_what_the_contract_promises(tmp_path: Path, cloak) -> None:
     out = tmp_path / "film.gif"
     words = ["film", "zoo:builtin-sample", "--scene", "sample:unseen[0:2]", "--size", "32", "--fps", "2", "--samples"]
-    with pytest.raises(SystemExit, match="0"):
-        main([*words, "1", "--backgrounds", "procedural:test:1", "--out", str(out), "--json"])
-    told = json.loads(capsys.readouterr().out)
+    code, printed, _ = cloak(*words, "1", "--backgrounds", "procedural:test:1", "--out", out, "--json")
+    told = json.loads(printed)
     assert {"frames", "hidden", "longest_run", "first_sight_m", "tracks", "out"} <= set(told)
     # Each of two single poses is held for a second.
-    assert told["frames"] == 4 and told["out"] == str(out) and out.exists()
-    with pytest.raises(SystemExit, match="2"):
-        main([*words, "1", "--out", str(out)])
-    assert "exists already" in capsys.readouterr().err
+    assert code == 0 and told["frames"] == 4 and told["out"] == str(out) and out.exists()
+    code, _, err = cloak(*words, "1", "--out", out)
+    assert code == 2 and "exists already" in err

@@ -5,13 +5,12 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cloak_core.cli import main
 from cloak_core.commands import assess
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import is_number
 from cloak_core.studies.card import gate, leaderboard, page
 from cloak_core.studies.card.assess import Assessment
-from tests.studies.made_cards import TINY, Glow, make_store
+from tests.studies.made_split import TINY, Bulb, make_store
 
 CARD = {
     "spec": "builtin",
@@ -61,31 +60,24 @@ def test_each_broken_bound_is_named(tmp_path: Path) -> None:
         ("[max]\nclean.recall = true", "not a number"),
     ],
 )
-def test_a_bad_gate_is_one_line_before_anything_is_measured(
-    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_bad_gate_is_one_line_before_anything_is_measured(text: str, said: str, tmp_path: Path, cloak) -> None:
     (tmp_path / "gate.toml").write_text(text)
-    with pytest.raises(SystemExit, match="2"):
-        main(["assess", "builtin", "--out", str(tmp_path / "cards"), "--gate", str(tmp_path / "gate.toml")])
-    words = capsys.readouterr().err
-    assert said in words and "gate.toml" in words and words.count("\n") == 1 and not (tmp_path / "cards").exists()
+    code, _, words = cloak("assess", "builtin", "--out", tmp_path / "cards", "--gate", tmp_path / "gate.toml")
+    assert code == 2 and said in words and "gate.toml" in words and words.count("\n") == 1
+    assert not (tmp_path / "cards").exists()
 
 
-def test_a_broken_bound_ends_with_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_bound_ends_with_1(tmp_path: Path, cloak, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(leaderboard, "gather", lambda _: {"builtin": CARD})
     monkeypatch.setattr(page, "write_card", lambda folder: folder / "card.html")
     monkeypatch.setattr(assess.Assess, "show", lambda *_: None)
     (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.3")
-    call = ["assess", "--out", str(tmp_path), "--gate", str(tmp_path / "gate.toml")]
-    with pytest.raises(SystemExit, match="1"):
-        main([*call, "--junit", str(tmp_path / "gate.xml")])
-    assert 'failures="1"' in (tmp_path / "gate.xml").read_text()
-    assert "builtin: white_box.20.success_own is 0.6" in capsys.readouterr().err
+    call = ["assess", "--out", tmp_path, "--gate", tmp_path / "gate.toml"]
+    code, _, err = cloak(*call, "--junit", tmp_path / "gate.xml")
+    assert code == 1 and 'failures="1"' in (tmp_path / "gate.xml").read_text()
+    assert "builtin: white_box.20.success_own is 0.6" in err
     (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.7")
-    with pytest.raises(SystemExit, match="0"):
-        main(call)
+    assert cloak(*call)[0] == 0
     with pytest.raises(InputError, match="--junit: needs --gate"):
         assess.Assess(out=tmp_path, junit=tmp_path / "gate.xml").run()
 
@@ -95,7 +87,7 @@ def test_the_expected_card_has_the_figures_of_the_measured_one(made: tuple[Path,
     """In both boxes; what a detector may be renamed to, and the rest that it may not tell, are expected at most."""
     for name, white_box in (("glow", True), ("dark:net.onnx", False)):
         card = made[1] if white_box else page.read_card(made[0] / "dark" / "card.json")
-        store = make_store(tmp_path, Glow(name, white_box))
+        store = make_store(tmp_path, Bulb(name, white_box))
         expected = Assessment(store, TINY, tmp_path / "x", ["builtin-sample"] if white_box else []).expected()
         numbers, promised = ({p for p, v in gate.flat(c) if is_number(v)} for c in (card, expected))
         assert numbers <= promised and {p.rpartition(".")[2] for p in promised - numbers} <= NAMELESS
@@ -129,13 +121,12 @@ def test_a_key_that_is_no_figure_is_refused(key: str, said: str, tmp_path: Path)
 
 
 def test_nothing_is_measured_under_a_gate_that_cannot_be_held(
-    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, cloak, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Assessment, "run", lambda _: pytest.fail("measured"))
     (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.3")
-    words = ["--size", "quick", "--out", str(tmp_path / "cards"), "--gate", str(tmp_path / "gate.toml")]
-    with pytest.raises(SystemExit, match="2"):
-        main(["assess", "builtin", *words, "--junit", str(tmp_path / "gate.xml")])
-    said = capsys.readouterr().err.replace("\n", " ")
-    assert "no figure of this card (size quick, no --people); did you mean white_box.76.success_own?" in said
+    words = ("--size", "quick", "--out", tmp_path / "cards", "--gate", tmp_path / "gate.toml")
+    code, _, err = cloak("assess", "builtin", *words, "--junit", tmp_path / "gate.xml")
+    said = "no figure of this card (size quick, no --people); did you mean white_box.76.success_own?"
+    assert code == 2 and said in err.replace("\n", " ")
     assert not (tmp_path / "gate.xml").exists()

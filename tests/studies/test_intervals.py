@@ -1,10 +1,13 @@
-"""Intervals: degenerate cases are honest, and the stated coverage is what simulation finds."""
+"""Intervals: degenerate cases are honest, and a known rate is covered, where a bootstrap alone does not cover it."""
+
+import json
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from cloak_core.core.evaluation.intervals import bootstrap_interval, cells, clustered_rate, wilson
+from tests.studies.simulated_evaluations import ASKED, Design, coverage, designs, least_width, simulate
 
 
 def test_wilson_against_scipy() -> None:
@@ -50,3 +53,37 @@ def test_trainings_that_differ_widen_the_interval_and_one_alone_does_not() -> No
     different = np.concatenate([hits, np.ones(120, bool), np.zeros(120, bool)])
     rate = clustered_rate(different, np.tile(body, 3), np.tile(background, 3), seeds)
     assert rate.high - rate.low > 1.5 * (alone.high - alone.low)
+
+
+@pytest.mark.slow
+def test_designs_draw_the_rate_they_promise() -> None:
+    for design in (Design(16, 12, 1, 0.966, 2.0, 0.0), Design(8, 6, 3, 0.97, 0.5, 0.1)):
+        rng = np.random.default_rng(0)
+        rate = np.mean([simulate(design, rng).hits.mean() for _ in range(600)])
+        assert rate == pytest.approx(design.target, abs=0.015)
+    assert len({json.dumps(vars(design)) for design in designs()}) == len(list(designs())) >= 80
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "design",
+    [
+        Design(6, 12, 1, 0.9, 3.0, 0.0),
+        Design(8, 6, 1, 0.995, 0.5, 0.1),
+        Design(16, 6, 3, 0.995, 0.5, 0.05),
+        Design(16, 12, 1, 0.966, 3.0, 0.0),
+    ],
+    ids=str,
+)
+def test_intervals_cover_where_the_bootstrap_does_not(design: Design) -> None:
+    found = coverage(design, 60)
+    assert found["ours"]["coverage"] >= 0.93
+    assert found["bootstrap"]["coverage"] <= 0.93
+    assert found["ours"]["width"] < found["Korn-Graubard"]["width"]
+
+
+@pytest.mark.parametrize("bodies", [4, 6, 8, 16])
+def test_what_is_printed_is_not_much_wider_than_any_honest_interval(bodies: int) -> None:
+    body, background = (way.ravel() for way in np.indices((bodies, 12)))
+    rate = clustered_rate(np.ones(body.size, bool), body, background)
+    assert 0 < (rate.high - rate.low) - least_width(bodies, ASKED) < 0.05

@@ -11,7 +11,6 @@ from PIL import Image
 from test_report import parse
 from torch import Tensor
 
-from cloak_core.cli import main
 from cloak_core.commands import wear as judge_command
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.settings import JudgeSettings
@@ -209,23 +208,17 @@ def test_bad_lists_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_says_what_the_contract_promises(
-    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_says_what_the_contract_promises(tmp_path: Path, cloak, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judge_command.Judge, "load", lambda self, spec: Painted())
     for side, color in (("with", GREEN), ("without", BLUE)):
         paint(tmp_path / side / "1.png", (color,))
-    with pytest.raises(SystemExit) as end:
-        main(["judge", str(tmp_path), "--detector", "builtin", "--json"])
-    told = json.loads(capsys.readouterr().out)
-    assert not end.value.code and {"with", "without", "people", "pictures"} <= set(told)
+    code, out, _ = cloak("judge", tmp_path, "--detector", "builtin", "--json")
+    told = json.loads(out)
+    assert code == 0 and {"with", "without", "people", "pictures"} <= set(told)
     assert {"success", "conditional", "n", "ci95"} <= set(told["with"])
-    with pytest.raises(SystemExit):
-        main(["judge", str(tmp_path), "--detector", "builtin"])
-    assert "2 pictures, people: 1, scenes: 1; wrote" in capsys.readouterr().out
-    with pytest.raises(SystemExit) as end:
-        main(["judge", str(tmp_path)])
-    assert end.value.code == 2 and "--detector: none given" in capsys.readouterr().err
+    assert "2 pictures, people: 1, scenes: 1; wrote" in cloak("judge", tmp_path, "--detector", "builtin")[1]
+    code, _, err = cloak("judge", tmp_path)
+    assert code == 2 and "--detector: none given" in err
 
 
 def test_a_video_that_breaks_off_is_left_out_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,11 +240,6 @@ def test_large_pictures_are_reduced_and_boxes_with_them(tmp_path: Path) -> None:
     for side, color in (("with", GREEN), ("without", BLUE)):
         paint(tmp_path / side / "1.png", (color, far), size=(800, 600))
     (tmp_path / "boxes.csv").write_text("file,x1,y1,x2,y2\nwith/1.png,100,100,300,500\nwithout/1.png,100,100,300,500\n")
-    told = judge(
-        tmp_path,
-        {"painted": Painted()},
-        JudgeSettings(resamples=100, longest=80),
-        boxes=tmp_path / "boxes.csv",
-        out=tmp_path / "judge",
-    )
+    files = {"boxes": tmp_path / "boxes.csv", "out": tmp_path / "judge"}
+    told = judge(tmp_path, {"painted": Painted()}, JudgeSettings(resamples=100, longest=80), **files)
     assert told["with"]["success"] == 1 and told["without"]["detected"] == 1

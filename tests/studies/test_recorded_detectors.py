@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 import cloak_core
-from cloak_core.cli import main
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import reach
@@ -38,36 +37,22 @@ def evil(tmp_path: Path) -> tuple[Path, str]:
     return run, spec
 
 
-FEW = (
-    "--most-images",
-    "2",
-    "--bare",
-    "1",
-    "--size",
-    "64",
-    "--shift",
-    "0",
-    "--angles",
-    "0",
-    "--scene",
-    "sample:unseen[0:1]",
-)
+FEW = ("--most-images", "2", "--bare", "1", "--size", "64", "--shift", "0", "--angles", "0")
+FEW += ("--scene", "sample:unseen[0:1]")
 
 
 @pytest.mark.parametrize("before", ["", "jpeg=75:", "segment:blur=1:"])
 @pytest.mark.parametrize(
     "words", [["evaluate", "RUN", *FEW], ["film", "RUN", "--out", "FILM"], ["evaluate", "RUN", "--people", "PEOPLE"]]
 )
-def test_a_run_folder_runs_no_code(evil, words: list[str], before: str, tmp_path: Path, capsys) -> None:
+def test_a_run_folder_runs_no_code(evil, words: list[str], before: str, tmp_path: Path, cloak) -> None:
     run, spec = evil
     config = json.loads((run / "config.json").read_text())
     config["detectors"][0]["spec"] = before + spec
     (run / "config.json").write_text(json.dumps(config))
     places = {"RUN": str(run), "FILM": str(tmp_path / "film"), "PEOPLE": str(tmp_path / "people.json")}
-    with pytest.raises(SystemExit) as end:
-        main([places.get(word, word) for word in words])
-    said = capsys.readouterr().err
-    assert end.value.code == 2 and f"--detector {before + spec}" in said.replace("\n", ""), said
+    code, _, said = cloak(*(places.get(word, word) for word in words))
+    assert code == 2 and f"--detector {before + spec}" in said.replace("\n", ""), said
     assert not (run / "ran").exists()
 
 
@@ -83,11 +68,9 @@ def test_nor_does_the_library(evil, tmp_path: Path) -> None:
     assert not (run / "ran").exists()
 
 
-def test_named_code_is_run(evil) -> None:
+def test_named_code_is_run(evil, cloak) -> None:
     run, spec = evil
-    with pytest.raises(SystemExit) as end:
-        main(["evaluate", str(run), "--detector", spec, *FEW])
-    assert not end.value.code and (run / "ran").exists()
+    assert cloak("evaluate", run, "--detector", spec, *FEW)[0] == 0 and (run / "ran").exists()
 
 
 def test_zoo_entries_and_grids_run_code_only_where_it_is_named(evil, tmp_path: Path) -> None:

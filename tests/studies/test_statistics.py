@@ -1,12 +1,15 @@
-"""Statistics: the definitions of success, by hand on a few images, and what JSON gets where nothing is defined."""
+"""Trials, results and statistics: what is drawn, what survives a file, and the definitions of success, by hand."""
 
 import json
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cloak_core.core.evaluation.precision import average_precision
-from cloak_core.core.evaluation.results import Results, make_results
+from cloak_core.core.evaluation.results import NOBODY, Results, make_results, read_results
+from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.statistics import (
     false_alarms,
     outcome_record,
@@ -14,7 +17,9 @@ from cloak_core.core.evaluation.statistics import (
     success_record,
     summarize,
 )
-from cloak_core.core.evaluation.trials import make_trials
+from cloak_core.core.evaluation.trials import COLUMNS, draw_trials, make_trials
+from cloak_core.files.errors import InputError
+from tests.studies.made_evaluation import CONTROLS, made_results
 
 CLEAN = [0.9, 0.5, 0.9, 0.9, 0.9, 0.1]
 NO_BOXES = {name: np.zeros(0) for name in ("detector", "control", "image", "score", "hit", "iou")}
@@ -119,3 +124,67 @@ def test_photographs_share_people_and_photographs() -> None:
     rows = people.rows("one", "logo")
     assert rate(rows, np.ones(6, bool)).low == rate(rows, np.ones(6, bool), ("person", "photograph", "training")).low
     assert false_alarms(people, "one") == 0.5
+
+
+def test_results_survive_a_file(tmp_path: Path) -> None:
+    results = made_results(specs=("a", "b"))
+    results.images["person"] = "Ada"  # a column of a source of views
+    results.save(tmp_path / "scores.npz")
+    back = read_results(tmp_path / "scores.npz")
+    assert back.detectors == results.detectors and back.background_names == results.background_names
+    assert set(back.trials["person"]) == {"Ada"} and back.trials.equals(results.trials)
+    assert back.boxes.drop(columns=["x1", "y1", "x2", "y2"]).equals(
+        results.boxes.drop(columns=["x1", "y1", "x2", "y2"])
+    )
+    for spec in back.detectors:
+        for control in (*CONTROLS, NOBODY):
+            assert np.array_equal(back.scores(spec, control), results.scores(spec, control))
+
+
+def test_a_file_without_elevations_and_overlaps_is_read(tmp_path: Path) -> None:
+    made_results().save(tmp_path / "new.npz")
+    absent = ("trials_elevation", "boxes_iou", "operating_points", "bare_background")
+    arrays = {k: v for k, v in np.load(tmp_path / "new.npz").items() if k not in absent}
+    np.savez(tmp_path / "old.npz", **arrays)
+    back = read_results(tmp_path / "old.npz")
+    new, old = (success_record(one, one.rows("builtin", "logo")) for one in (made_results(), back))
+    assert new["ap50_95"] is not None and old["ap50_95"] is None and old["ap50"] == new["ap50"] > 0
+    assert back.trials["elevation"].isna().all()
+    assert "by_elevation" not in summarize(back)["detectors"]["builtin"]
+
+
+def test_damaged_results_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "scores.npz"
+    np.savez(path, a=np.zeros(3))
+    with pytest.raises(InputError, match=r"scores\.npz: not a cloak measurement"):
+        read_results(path)
+    np.savez(path, format=np.array("cloak measurement 1"))
+    with pytest.raises(InputError, match=r"scores.npz: .* is missing"):
+        read_results(path)
+
+
+def test_trials_cover_the_grid_and_deal_backgrounds_evenly() -> None:
+    def draw(seed: int) -> pd.DataFrame:
+        settings = EvaluateSettings(distances=(2.2, 3.0), images_per_view=5, seed=seed)
+        return draw_trials(3, (-10.0, 10.0), 7, 4, settings)
+
+    trials = draw(0)
+    assert len(trials) == 3 * 2 * 2 * 5 and tuple(trials) == COLUMNS
+    assert trials.groupby(["pose", "angle", "distance"]).size().tolist() == [5] * 12
+    dealt = np.bincount(trials["background"], minlength=7)
+    assert dealt.max() - dealt.min() <= 1
+    shifts = ["shift_x", "shift_y"]
+    assert trials[shifts].abs().max().max() <= 50 and trials["outfit"].nunique() == 4
+    assert trials.equals(draw(0)) and not trials[shifts].equals(draw(1)[shifts])
+
+
+def test_trials_at_several_elevations_and_only_so_many_of_them() -> None:
+    places = {"distances": (2.2, 4.0), "elevations": (0.0, 15.0, 30.0), "images_per_view": 2}
+    whole = draw_trials(3, (0.0, 10.0), 7, 4, EvaluateSettings(**places))
+    assert len(whole) == 72 and whole.groupby(["pose", "angle", "distance", "elevation"]).ngroups == 36
+    some = draw_trials(3, (0.0, 10.0), 7, 4, EvaluateSettings(most_images=20, **places))
+    assert len(some) == 20 and some["elevation"].nunique() == 3
+    dealt = np.bincount(some["background"], minlength=7)
+    assert dealt.max() - dealt.min() <= 1
+    with pytest.raises(InputError, match="--elevations"):
+        EvaluateSettings(elevations=(0.0, 91.0))

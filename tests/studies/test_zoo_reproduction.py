@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core.cli import main
 from cloak_core.files.errors import InputError
 from cloak_core.studies import zoo_reproduction
 from cloak_core.studies.zoo_reproduction import Files, evaluate_again
@@ -40,24 +39,19 @@ def test_a_figure_holds_within_either_interval() -> None:
     assert not zoo_reproduction._holds(RATES, RATES | {"success_own": 0.7, "ci95_own": [0.6, 0.8]})
 
 
-def test_the_command_goes_on_past_missing_files_and_fails_where_a_figure_changed(monkeypatch, capsys) -> None:
+def test_the_command_goes_on_past_missing_files_and_fails_where_a_figure_changed(monkeypatch, cloak) -> None:
     def judged(found, *_) -> dict:
         if found.record["name"] != "builtin-sample":
             raise InputError("a.onnx is not in here")
         return {"builtin": {"recorded": RATES, "again": RATES | {"success": 0.1}, "holds": False}}
 
-    def reproduce(*words: str) -> int:
-        with pytest.raises(SystemExit) as end:
-            main(["zoo", "reproduce", *words, "--json"])
-        return end.value.code
-
     monkeypatch.setattr(zoo_reproduction, "evaluate_again", judged)
-    assert reproduce() == 1
-    said = capsys.readouterr()
-    told = json.loads(said.out)
+    code, out, err = cloak("zoo", "reproduce", "--json")
+    told = json.loads(out)
     assert [row["name"] for row in told["zoo"]] == ["builtin-sample"] and len(told["left_out"]) == len(shelved()) - 1
-    assert "zoo:builtin-sample: builtin: not what was recorded" in said.err
-    assert reproduce("ssd-anny") == 2 and "a.onnx" in capsys.readouterr().err
+    assert code == 1 and "zoo:builtin-sample: builtin: not what was recorded" in err
+    code, _, err = cloak("zoo", "reproduce", "ssd-anny", "--json")
+    assert code == 2 and "a.onnx" in err
 
 
 def test_what_does_not_ship_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
