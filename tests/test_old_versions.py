@@ -13,7 +13,7 @@ from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
-from cloak_core.studies.evaluate import check_folder, is_earlier_on_people
+from cloak_core.studies.report.stored import check_folder, is_earlier_on_people
 from cloak_core.studies.trained_run import seen_in_training
 from cloak_core.zoo.entry import _photographs as zoo_photographs
 from cloak_core.zoo.entry import run_path

@@ -100,7 +100,9 @@ def _what_comes_out(
 ) -> tuple[Float32[np.ndarray, "L 3"], Bool[np.ndarray, " L"], Float32[np.ndarray, "L 3"] | None]:
     """Find the nearest colours that come out, whether they are others, and what to send, where a profile tells."""
     if profile is None:
-        near, beyond = nearest_printable(colors) if palette is None else nearest_in_palette(colors, palette)
+        near, beyond = nearest_in_palette(colors, printable() if palette is None else palette)
+        if palette is None:  # a printer mixes what lies between these, too
+            near = np.where(beyond[:, None], near, colors)
         return near.astype(np.float32), beyond, None
     sent = profile.to_send(colors)
     near = profile.photographed(sent)
@@ -148,12 +150,6 @@ def printable() -> Float[np.ndarray, "mixtures 3"]:
         [(c if i & 4 else 1 - c) * (m if i & 2 else 1 - m) * (y if i & 1 else 1 - y) for i in range(8)], axis=1
     )
     return to_srgb(weights @ to_linear(OVERPRINTS / 255))
-
-
-def nearest_printable(colors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Find the nearest printable colour (sRGB in [0, 1]), itself where it is one; tell whether it is not."""
-    nearest, beyond = nearest_in_palette(colors, printable())
-    return np.where(beyond[:, None], nearest, colors), beyond
 
 
 def write_glb(path: Path, bodies: Bodies, texture: Texture) -> None:

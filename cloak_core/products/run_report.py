@@ -11,9 +11,15 @@ from cloak_core.core.evaluation.results import NOBODY
 from cloak_core.core.evaluation.statistics import hidden
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
-from cloak_core.studies.evaluate import FOLDER, PEOPLE_FOLDER, StoredEvaluation, is_earlier_on_people, read_evaluation
 from cloak_core.studies.report import plots, words
 from cloak_core.studies.report.page import MAX_PICTURE, data_uri, page_style, shot, svg, write_page
+from cloak_core.studies.report.stored import (
+    FOLDER,
+    PEOPLE_FOLDER,
+    StoredEvaluation,
+    is_earlier_on_people,
+    read_evaluation,
+)
 from cloak_core.studies.trained_run import read_history
 
 BLENDER = "blender.png"

@@ -242,7 +242,8 @@ def image_difference(ours: ImageSet, cycles: CyclesImages, pattern: Pattern) -> 
     """
     either, both = [], []
     for (pose, angle), trial in first_trials(ours.trials).items():
-        image, covered = before_grey(ours, trial, pattern)
+        (view,) = ours.views([trial], pattern)
+        image, covered = before_grey(view, pattern, trial=trial)
         frame = cycles.body(pose, angle)
         theirs = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:])
         alpha = frame[3].flatten()

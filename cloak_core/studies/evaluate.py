@@ -18,14 +18,13 @@ from cloak_core.core.evaluate import Patterns, headline, identity
 from cloak_core.core.evaluate import evaluate as measure
 from cloak_core.core.evaluation.controls import CLOTHING, LOGO, RESAMPLED
 from cloak_core.core.evaluation.measure import OnProgress, check_asked
-from cloak_core.core.evaluation.results import Results, read_results
+from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.settings import EvaluateSettings, WearSettings
 from cloak_core.core.events import read_events
 from cloak_core.core.images import ImageSet
 from cloak_core.core.pattern import Pattern
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.patterns.controls import controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
@@ -34,7 +33,7 @@ from cloak_core.studies.film import write_turntable
 from cloak_core.studies.imagery import drawn_images, flat_views
 from cloak_core.studies.report.pictures import write_flat, write_pictures
 from cloak_core.studies.report.plots import success_over_time
-from cloak_core.studies.report.stored import check_stored
+from cloak_core.studies.report.stored import FOLDER, PEOPLE_FOLDER, check_folder, read_evaluation
 from cloak_core.studies.report.style import save_figure, style
 from cloak_core.studies.trained_run import photographs_seen_in_training, seen_in_training, trained_against
 
@@ -42,10 +41,6 @@ if TYPE_CHECKING:
     from cloak_core.sources.photographs.crowd import Crowd
 
 _log = logging.getLogger("cloak")
-
-
-FOLDER, PEOPLE_FOLDER = "evaluation", "evaluation-people"
-"""Names of the folders inside a run: of bodies, and of people in photographs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,44 +214,6 @@ def _finished(folder: Path, content: str | None) -> dict | None:
 
 
 # --- the folder of an evaluation
-
-
-@dataclass(frozen=True)
-class StoredEvaluation:
-    """An evaluation read back."""
-
-    folder: Path
-    summary: dict
-    pictures: dict
-    results: Results
-
-
-def check_folder(folder: Path) -> Path:
-    """Refuse a folder that holds something that is no evaluation (InputError); asked before the work begins, too."""
-    folder = Path(folder)
-    known = (folder / "summary.json").exists() or is_earlier_on_people(folder)
-    if folder.exists() and not (folder.is_dir() and (known or not any(folder.iterdir()))):
-        raise InputError(f"{folder}: holds something that is no evaluation, and is left alone")
-    return folder
-
-
-def is_earlier_on_people(folder: Path) -> bool:
-    """Tell whether a folder holds a run's evaluation on photographs as earlier versions wrote it (wear.json)."""
-    path = folder / "wear.json"
-    # What `cloak wear` writes says nothing of a training.
-    return path.is_file() and "white_box" in read_json(path)
-
-
-def read_evaluation(folder: Path) -> StoredEvaluation:
-    """Read what `write_evaluation` wrote; InputError names what is missing, damaged or of another type."""
-    stored = StoredEvaluation(
-        folder=folder,
-        summary=read_json(folder / "summary.json"),
-        pictures=read_json(folder / "pictures.json"),
-        results=read_results(folder / "scores.npz"),
-    )
-    check_stored(folder, stored.summary, stored.pictures, stored.results)
-    return stored
 
 
 def write_evaluation(

@@ -67,17 +67,9 @@ def _require_some(backgrounds: Backgrounds) -> None:
 
 
 def before_grey(
-    images: ImageSet, trial: int, pattern: Pattern
+    view: BakedView, pattern: Pattern, grey: float = 0.5, trial: int = 0
 ) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
-    """Render one trial's body, unmoved, before mid-grey; also how much of every pixel it covers."""
-    (view,) = images.views([trial], pattern)
-    return _before(view, pattern, 0.5, trial)
-
-
-def _before(
-    view: BakedView, pattern: Pattern, grey: float, trial: int = 0
-) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
-    """Render a view before one grey; also how much of every pixel it covers."""
+    """Render a view, unmoved, before one grey; also how much of every pixel it covers."""
     device = view.pixels.device
     rows = blank(1, view.height, view.width, device).fill_(grey)
     image = dressed([view], pattern, rows).paint(pattern.colors_in(view, trial))[0]
@@ -99,7 +91,7 @@ def flat_views(
     sides = {}
     for side, azimuth in SIDES.items():
         view = source.view(shown | {"azimuth": azimuth}, None, pattern)
-        image, alpha = _before(view, pattern, 1.0)
+        image, alpha = before_grey(view, pattern, 1.0)
         alpha = alpha.view(1, view.height, view.width)
         # Take the white behind the silhouette's pixels out again.
         color = ((image - (1 - alpha)) / alpha.clamp(min=1e-3)).clamp(0, 1)

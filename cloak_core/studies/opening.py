@@ -143,7 +143,10 @@ def open_pattern(spec: str, cover: Cover | None = None, bodies: Bodies | None = 
         name, pixels = _picture_of(picture["file"])
         name = f"{name}@{picture['kind']}={metres:g}"
         if picture["kind"] == "patch":
-            return _on_chest(pixels, metres), None, name
+            height, width = pixels.shape[:2]
+            top = -(body_rig().joints["l_hip"][1] + CHEST) - metres * height / width / 2
+            corner = (-metres / 2, float(top))
+            return ChestPattern.of_picture(_chest_cover(), pixels, metres, corner=corner), None, name
         return ClothPattern.of_picture(cover or clothes_cover(), pixels, metres, bodies=bodies), None, name
     path = run_path(spec)
     if not path.is_dir() and path.suffix.lower() == ".npy" and cover is not None:
@@ -167,12 +170,6 @@ def _picture_of(named: str) -> tuple[str, UInt8[np.ndarray, "h w 3"]]:
     if not cloth.exists():
         raise InputError(f"{named}: has no cloth that repeats ({CLOTH_FILE}), so no width to choose")
     return named if named.startswith("zoo:") else Path(named).name, read_picture(cloth)
-
-
-def _on_chest(pixels: UInt8[np.ndarray, "h w 3"], metres: float) -> ChestPattern:
-    height, width = pixels.shape[:2]
-    top = -(body_rig().joints["l_hip"][1] + CHEST) - metres * height / width / 2
-    return ChestPattern.of_picture(_chest_cover(), pixels, metres, corner=(-metres / 2, float(top)))
 
 
 def cloth_spec(pattern: str) -> str:

@@ -22,7 +22,8 @@ from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.studies.evaluate import OnBodies, Shown, evaluate, read_evaluation
+from cloak_core.studies.evaluate import OnBodies, Shown, evaluate
+from cloak_core.studies.report.stored import read_evaluation
 
 SMALL = EvaluateSettings(images_per_view=2, size=64, shift=6, samples=1, resamples=100, batch=4, bare=5)
 ANGLES = (-10.0, 10.0)

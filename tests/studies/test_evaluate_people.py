@@ -16,8 +16,8 @@ from cloak_core.products.run_report import make_report
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.studies.evaluate import read_evaluation
 from cloak_core.studies.opening import open_run, snapshot_pattern
+from cloak_core.studies.report.stored import read_evaluation
 from cloak_core.zoo.entry import entry, write_entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny

@@ -19,7 +19,8 @@ from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.products.run_report import make_report
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.studies.evaluate import FOLDER, Shown, evaluate, read_evaluation
+from cloak_core.studies.evaluate import Shown, evaluate
+from cloak_core.studies.report.stored import FOLDER, read_evaluation
 from tests.core.fakes import MadeViews, photograph_view
 
 SETTINGS = EvaluateSettings(size=32, shift=0, resamples=100, batch=4, controls=(), bare=2)

@@ -100,7 +100,11 @@ def harden(
     there.
     InputError: `out` exists without `resume`, or was begun with something else.
     """
-    settings = _settled(settings, student)
+    if settings.lr is None:
+        settings = dataclasses.replace(settings, lr=student.lr)
+    if settings.precision == "auto":
+        tiles = student.detector.device.type == "cpu" and torch.cpu.get_capabilities().get("amx_bf16", False)
+        settings = dataclasses.replace(settings, precision="bfloat16" if tiles else "float32")
     pool = Pool(settings, material.bodies, material.backgrounds, student.detector, material.people)
     pictures = Pictures(pool, material.photographs, student.teacher)
     config = _config(settings, student, material)
@@ -109,16 +113,6 @@ def harden(
     check = lambda: _check(read_json(folder.config), config, folder.path)
     with folder.opened(resume, start, check), stop_request(folder.cancel, settings.max_seconds) as stop:
         return Hardening(settings, student, pool, pictures, folder, on_event).run_to_end(stop)
-
-
-def _settled(settings: HardenSettings, student: Student) -> HardenSettings:
-    """Set what the detector and the machine decide where nobody has said it."""
-    if settings.lr is None:
-        settings = dataclasses.replace(settings, lr=student.lr)
-    if settings.precision == "auto":
-        tiles = student.detector.device.type == "cpu" and torch.cpu.get_capabilities().get("amx_bf16", False)
-        settings = dataclasses.replace(settings, precision="bfloat16" if tiles else "float32")
-    return settings
 
 
 def _config(settings: HardenSettings, student: Student, material: Material) -> dict:

@@ -26,10 +26,10 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import write_json, write_text, written
 from cloak_core.sources.bodies import videos
-from cloak_core.studies.evaluate import check_folder
 from cloak_core.studies.judging.listing import NOBODY, WITH, WITHOUT, Subject, list_subjects
 from cloak_core.studies.report import page, plots
 from cloak_core.studies.report.page import jpeg_uri
+from cloak_core.studies.report.stored import check_folder
 from cloak_core.studies.report.words import short_name
 from cloak_core.studies.statistics_photographs import clean_scores, find_partners, summarize_photographs
 

@@ -1,12 +1,58 @@
-"""What a report needs of an evaluation's summary.json and pictures.json, which may come with anybody's run."""
+"""The folder of an evaluation, read back: its files may come with anybody's run, so that all are checked."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from cloak_core.core.evaluation.results import Results
+from cloak_core.core.evaluation.results import Results, read_results
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 from cloak_core.files.shapes import FLAG, NOTHING, NUMBER, SHARE, TEXT, WHOLE, Kind, check_shape
+
+FOLDER, PEOPLE_FOLDER = "evaluation", "evaluation-people"
+"""Names of the folders inside a run: of bodies, and of people in photographs."""
+
+
+@dataclass(frozen=True)
+class StoredEvaluation:
+    """An evaluation read back."""
+
+    folder: Path
+    summary: dict
+    pictures: dict
+    results: Results
+
+
+def check_folder(folder: Path) -> Path:
+    """Refuse a folder that holds something that is no evaluation (InputError); asked before the work begins, too."""
+    folder = Path(folder)
+    known = (folder / "summary.json").exists() or is_earlier_on_people(folder)
+    if folder.exists() and not (folder.is_dir() and (known or not any(folder.iterdir()))):
+        raise InputError(f"{folder}: holds something that is no evaluation, and is left alone")
+    return folder
+
+
+def is_earlier_on_people(folder: Path) -> bool:
+    """Tell whether a folder holds a run's evaluation on photographs as earlier versions wrote it (wear.json)."""
+    path = folder / "wear.json"
+    # What `cloak wear` writes says nothing of a training.
+    return path.is_file() and "white_box" in read_json(path)
+
+
+def read_evaluation(folder: Path) -> StoredEvaluation:
+    """Read what `write_evaluation` wrote; InputError names what is missing, damaged or of another type."""
+    stored = StoredEvaluation(
+        folder=folder,
+        summary=read_json(folder / "summary.json"),
+        pictures=read_json(folder / "pictures.json"),
+        results=read_results(folder / "scores.npz"),
+    )
+    check_stored(folder, stored.summary, stored.pictures, stored.results)
+    return stored
+
+
+# --- what a report needs of summary.json and pictures.json
 
 _BOUNDS = Kind(
     "two numbers from 0 to 1",
