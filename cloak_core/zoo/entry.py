@@ -22,7 +22,6 @@ from PIL import Image
 from cloak_core.core.logo import Logo
 from cloak_core.core.pictures import read_picture, save_picture
 from cloak_core.core.run_config import read_config, write_config
-from cloak_core.core.run_folder import RunFolder
 from cloak_core.exchange.cloth import CLOTH_FILE
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
@@ -259,10 +258,9 @@ def read_start(path: Path, logo: Logo, option: str = "--init") -> Float32[np.nda
     path = run_path(path)
     if not path.is_dir():
         return read_colors(path, len(logo.face_ids))
-    run = RunFolder(path)
-    if not run.config.exists():
+    if not (path / "config.json").exists():
         raise InputError(f"{option} {path}: not a run folder (no config.json in it)")
-    trained = read_face_list(run.logo)
+    trained = read_face_list(path / "logo.npy")
     if trained.topology != logo.topology or not np.array_equal(trained.ids, logo.face_ids):
         raise InputError(f"{option} {path}: was trained on another logo (`cloak logo transfer` carries colours over)")
-    return read_colors(run.colors, len(logo.face_ids))
+    return read_colors(path / "colors.npy", len(logo.face_ids))
