@@ -7,6 +7,7 @@ Of operators: `InputError` becomes a message in the status bar, and nothing else
 import textwrap
 from collections.abc import Callable
 
+import blf
 import bpy
 
 from ..body.objects import NO_BODY, active_body, body_reason
@@ -104,14 +105,24 @@ def push_undo(message: str) -> None:
 
 # --- panels ----------------------------------------------------------------------------------------------------------
 
+POINTS = 11.0  # size of the words on labels
+BESIDE_WORDS = 88.0  # pixels of the sidebar that a label in a box does not have: margins, its icon, the tabs
+
 
 def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "INFO") -> None:
-    """Draw a message, wrapped to the width of the sidebar."""
+    """Draw a message, wrapped to the width of the sidebar: Blender cuts off what is wider."""
     scale = context.preferences.system.ui_scale
-    width = max(20, int((context.region.width / scale - 60) / 6.2)) if context.region else 48
+    room = context.region.width - BESIDE_WORDS * scale if context.region else 300
+    blf.size(0, POINTS * scale)
+    text = said(text)
+    letter = max(1.0, blf.dimensions(0, text)[0] / max(1, len(text)))
+    for width in range(max(10, int(room / letter)), 9, -1):  # of the mean letter; some lines have wider ones
+        lines = textwrap.wrap(text, width) or [""]
+        if max(blf.dimensions(0, line)[0] for line in lines) <= room:
+            break
     column = layout.column(align=True)
     column.scale_y = 0.85
-    for index, line in enumerate(textwrap.wrap(said(text), width) or [""]):
+    for index, line in enumerate(lines):
         column.label(text=line, icon=icon if index == 0 else "BLANK1")
 
 

@@ -5,11 +5,13 @@ import types
 
 import bpy
 import cloak
+import numpy as np
 import pytest
 from cloak.blender import marks
 from cloak.session import session
-from cloak.trainer import jobs
-from conftest import MODULE, drawn
+from cloak.trainer import jobs, program
+from cloak.ui import bases
+from conftest import MODULE, Layout, drawn
 
 
 def test_every_operator_and_property_has_a_description():
@@ -116,6 +118,22 @@ def test_every_panel_is_drawn_whatever_there_is(there, request):
         request.getfixturevalue("ready" if there == "body" else "dressed")
     for cls in (c for c in cloak.CLASSES if issubclass(c, bpy.types.Panel)):
         assert cls.poll(bpy.context) in (True, False) and drawn(cls) is not None
+
+
+@pytest.mark.parametrize("width", [200, 280, 600])
+def test_a_message_is_wrapped_where_the_sidebar_ends(width, monkeypatch):
+    """By the width of its letters, which differ, and a path is broken."""
+    told, room = [], width - bases.BESIDE_WORDS * bpy.context.preferences.system.ui_scale
+    measured = lambda words: sum({"W": 10, "M": 10, "i": 3, "l": 3}.get(letter, 6) for letter in words)
+    fonts = types.SimpleNamespace(size=lambda *_: None, dimensions=lambda _, words: (measured(words), 9))
+    monkeypatch.setattr(bases, "blf", fonts)  # without a window Blender has none
+    context = types.SimpleNamespace(region=types.SimpleNamespace(width=width), preferences=bpy.context.preferences)
+    words = f"WWW MMM {'illi ' * 30} {program.install_line()}"
+    bases.wrapped(Layout(told), context, words)
+    lines = [line for line in told if line]
+    assert "".join(lines).replace(" ", "") == words.replace(" ", "")
+    widths = list(map(measured, lines))
+    assert max(widths) <= room and np.mean(widths[:-1]) > 0.5 * room
 
 
 def test_buttons_of_one_operator_have_tooltips_of_their_own():
