@@ -14,7 +14,6 @@ import torch
 from jaxtyping import Bool
 
 from cloak_core import __version__
-from cloak_core.core.cameras import Camera
 from cloak_core.core.evaluation.measure import OnProgress, batches
 from cloak_core.core.images import ImageSet
 from cloak_core.core.paint import body_masks
@@ -24,6 +23,7 @@ from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.screen import GRID
 from cloak_core.files.writing import new_folder, require_new, write_json
 from cloak_core.patterns.controls import OwnClothing
+from cloak_core.studies.imagery import camera_of
 from cloak_core.studies.report.pictures import to_pil
 
 ANNOTATIONS = "annotations.json"
@@ -64,20 +64,17 @@ def export_coco(
                         annotations.append({"id": len(annotations) + 1} | annotation)
             if on_progress:
                 on_progress(len(images), 2 * len(shown.trials))
-        write_json(folder / ANNOTATIONS, _header() | {"images": images, "annotations": annotations})
+        info = {"description": "renders of bodies in their own clothing and cloaked", "version": f"cloak {__version__}"}
+        category = {"id": PERSON, "name": "person", "supercategory": "person"}
+        head = {"info": info, "licenses": [], "categories": [category]}
+        write_json(folder / ANNOTATIONS, head | {"images": images, "annotations": annotations})
     counts = {"images": len(images), "annotations": len(annotations), "cloaked": len(shown.trials)}
     return {"out": str(out), "file": str(out / ANNOTATIONS)} | counts
 
 
-def _header() -> dict:
-    info = {"description": "renders of bodies in their own clothing and cloaked", "version": f"cloak {__version__}"}
-    category = {"id": PERSON, "name": "person", "supercategory": "person"}
-    return {"info": info, "licenses": [], "categories": [category]}
-
-
 def _image(shown: ImageSet, trial: int, cloaked: bool, kind: str) -> dict:
     trials = shown.trials
-    camera = _camera(shown, trial)
+    camera = camera_of(shown, trial)
     where = {"distance": camera.distance, "azimuth": camera.azimuth, "elevation": camera.elevation}
     return {
         "id": 2 * trial + cloaked + 1,
@@ -90,11 +87,6 @@ def _image(shown: ImageSet, trial: int, cloaked: bool, kind: str) -> dict:
         | {"field_of_view": float(camera.field_of_view)},
         "background": shown.background_names[trials.at[trial, "background"]],
     }
-
-
-def _camera(shown: ImageSet, trial: int) -> Camera:
-    row = shown.trials.iloc[trial]
-    return shown.source.camera({**row, "azimuth": row["angle"]})
 
 
 def _annotation(shown: ImageSet, trial: int, view: BakedView, image: dict) -> dict:
@@ -128,7 +120,7 @@ def _annotation(shown: ImageSet, trial: int, view: BakedView, image: dict) -> di
 def _whole_box(shown: ImageSet, trial: int) -> list[float] | None:
     """Compute [x, y, width, height] of the whole body, also beyond the image; None where it passes the camera."""
     views = shown.source.views_for(shown.source.on_cloth)
-    screen = views.screen([(int(shown.trials.at[trial, "pose"]), _camera(shown, trial))])
+    screen = views.screen([(int(shown.trials.at[trial, "pose"]), camera_of(shown, trial))])
     if screen.in_guard_band is not None and not bool(screen.in_guard_band.all()):
         return None
     dx, dy = shown.shifts([trial])[0].tolist()

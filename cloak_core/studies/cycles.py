@@ -20,7 +20,6 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from cloak_core.core.cameras import Camera
 from cloak_core.core.evaluate import Patterns
 from cloak_core.core.evaluation.controls import LOGO
 from cloak_core.core.evaluation.measure import OnProgress
@@ -33,7 +32,7 @@ from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
 from cloak_core.sources.bodies.blender.outside import ROOT, bpy_version, find_bpy
-from cloak_core.studies.imagery import before_grey
+from cloak_core.studies.imagery import before_grey, camera_of
 
 SCRIPT = ROOT / "tools" / "cycles_frames.py"
 LIGHTS = ("matching", "studio", "sky")
@@ -92,7 +91,7 @@ def render_frames(
     goes on. The first outfit is worn throughout, and "random" has one draw.
     """
     python = require_blender()
-    bodies, camera = images.source.bodies, _camera(images, 0)
+    bodies, camera = images.source.bodies, camera_of(images, 0)
     job = {
         "size": camera.height,
         "samples": samples,
@@ -147,13 +146,8 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
         raise RuntimeError(f"Blender ended with exit code {code} before {missing[0]} was rendered:\n{tail}")
 
 
-def _camera(images: ImageSet, trial: int) -> Camera:
-    row = images.trials.iloc[trial]
-    return images.source.camera({**row, "azimuth": row["angle"]})
-
-
 def _view(images: ImageSet, trial: int) -> dict:
-    camera = _camera(images, trial)
+    camera = camera_of(images, trial)
     pose = int(images.trials.at[trial, "pose"])
     vertices = images.source.bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)

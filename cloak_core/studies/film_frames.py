@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -134,7 +134,7 @@ class _Drawing:
             caption = f"thresholds {self.settings.threshold:g} and its own {own:g}"
             draw.text((right, top), caption, SOFT, _font(text), "ra")
             zero = top + 5.4 * text
-            y = partial(_height, zero, 3.8 * text)
+            y = lambda score, zero=zero: zero - 3.8 * text * score  # pixels
             for value, shade in ((0.0, FAINT), (1.0, FAINT), (own, FAINT), (self.settings.threshold, SOFT)):
                 draw.line((left, y(value), right, y(value)), fill=shade)
             for control in (LOGO, CLOTHING):
@@ -156,8 +156,3 @@ class _Drawing:
             part = 1 if score > self.settings.threshold else 0.4 if score > self.own[spec] else 0
             if part:
                 draw.rectangle((left, top + (1 - part) * height, right, top + height), color)
-
-
-def _height(zero: float, span: float, score: float) -> float:
-    """Place a score in a diagram whose 0 is at `zero` and whose 1 lies `span` above, pixels."""
-    return zero - span * score

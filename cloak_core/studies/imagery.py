@@ -66,6 +66,12 @@ def _require_some(backgrounds: Backgrounds) -> None:
         raise InputError("no background to evaluate on")
 
 
+def camera_of(images: ImageSet, trial: int) -> Camera:
+    """Make the camera that a trial of bodies is seen by."""
+    row = images.trials.iloc[trial]
+    return images.source.camera({**row, "azimuth": row["angle"]})
+
+
 def before_grey(
     view: BakedView, pattern: Pattern, grey: float = 0.5, trial: int = 0
 ) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
