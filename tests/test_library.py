@@ -57,6 +57,22 @@ def test_importing_it_is_light_and_shows_its_names() -> None:
     assert done.stdout.split() == ["cloak_core"]
 
 
+OTHERS = {
+    "training": ("core.evaluate", "studies.evaluate", "studies.film", "studies.report", "sources.photographs"),
+    "evaluation": ("core.loop", "core.optimizer", "studies.trainings", "studies.hardening", "studies.card"),
+}
+"""What one call of the library loads nothing of."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("call", OTHERS)
+def test_a_call_loads_nothing_that_only_another_needs(call: str) -> None:
+    script = f"import sys, cloak_core.library.{call}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    loaded = [name.removeprefix("cloak_core.") for name in done.stdout.split()]
+    assert f"library.{call}" in loaded and not [name for name in loaded if name.startswith(OTHERS[call])]
+
+
 def test_every_public_name_is_there_and_documented() -> None:
     assert set(cloak_core.__all__) == set(cloak_core._PLACES) <= set(dir(cloak_core))
     for name in cloak_core.__all__:
