@@ -112,6 +112,13 @@ def body_of_a_run(folder: Path, ids=(3, 4, 50)) -> tuple[bpy.types.Object, Path]
     return obj, run
 
 
+def logo_ids(obj: bpy.types.Object, name: str = "Logo") -> np.ndarray:
+    """The faces of a logo."""
+    from cloak.blender import faces
+
+    return np.flatnonzero(faces.read_faces(obj, name))
+
+
 def centers(obj: bpy.types.Object) -> np.ndarray:
     return np.array([polygon.center for polygon in obj.data.polygons], np.float32)
 

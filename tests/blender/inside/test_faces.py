@@ -11,16 +11,16 @@ from cloak.body.objects import logo_reason
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
 from cloak.logo import operators
-from made import centers, make_egg, select_only, set_mode
+from made import centers, logo_ids, make_egg, select_only, set_mode
 
 
 def test_a_logo_lives_through_edit_mode_saving_and_renaming(tmp_path):
     obj = make_egg()
     select_only(obj, range(100, 140))
     bpy.ops.cloak.logo_new(name="Brüstung")
-    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "Brüstung")), np.arange(100, 140))
+    assert np.array_equal(logo_ids(obj, "Brüstung"), np.arange(100, 140))
     set_mode("OBJECT")
-    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "Brüstung")), np.arange(100, 140))
+    assert np.array_equal(logo_ids(obj, "Brüstung"), np.arange(100, 140))
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "body.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "body.blend"))
     obj = bpy.data.objects["Body"]
@@ -40,7 +40,7 @@ def test_assign_remove_select(mode):
     select_only(obj, range(5, 20))
     set_mode(mode)
     bpy.ops.cloak.logo_assign()
-    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "a")), np.arange(20))
+    assert np.array_equal(logo_ids(obj, "a"), np.arange(20))
     select_only(obj, range(3))
     set_mode(mode)
     bpy.ops.cloak.logo_unassign()
@@ -83,7 +83,7 @@ def test_export_and_import_of_a_face_list(tmp_path):
     sidecar = json.loads(path.with_suffix(".json").read_text())
     assert sidecar["topology"] == topology(obj) and sidecar["index_of"] == "polygon"
     bpy.ops.cloak.logo_import(filepath=str(path))
-    assert np.flatnonzero(faces.read_faces(obj, obj.cloak.logo)).tolist() == [3, 5, 99]
+    assert logo_ids(obj, obj.cloak.logo).tolist() == [3, 5, 99]
 
 
 def test_a_foreign_face_list_is_refused_with_both_hashes(tmp_path):
@@ -126,10 +126,6 @@ def test_heatmap_and_the_logo_taken_from_it(stub):
 # --- what belongs together already -----------------------------------------------------------------------------------
 
 
-def taken(obj, name: str) -> np.ndarray:
-    return np.flatnonzero(faces.read_faces(obj, name))
-
-
 @pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
 def test_a_logo_of_a_material_counts_what_the_cloak_covers(mode):
     from cloak.blender import colors
@@ -143,9 +139,9 @@ def test_a_logo_of_a_material_counts_what_the_cloak_covers(mode):
     colors.dress(obj, np.flatnonzero(shirt)[:20])
     set_mode(mode)
     bpy.ops.cloak.logo_from_material(slot="1")
-    assert obj.cloak.logo == "shirt" and np.array_equal(taken(obj, "shirt"), np.flatnonzero(shirt))
+    assert obj.cloak.logo == "shirt" and np.array_equal(logo_ids(obj, "shirt"), np.flatnonzero(shirt))
     bpy.ops.cloak.logo_from_material(slot="0", add=True)
-    assert len(taken(obj, "shirt")) == len(shirt)
+    assert len(logo_ids(obj, "shirt")) == len(shirt)
 
 
 @pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
@@ -160,4 +156,4 @@ def test_a_logo_of_a_face_set_or_of_any_integer_attribute(mode, name, title):
     set_mode(mode)
     assert [value for value, _, _ in operators.face_sets(obj)] == [f"-1 {name}", f"7 {name}"]
     bpy.ops.cloak.logo_from_face_set(face_set=f"7 {name}")
-    assert np.array_equal(taken(obj, title), np.flatnonzero(upper))
+    assert np.array_equal(logo_ids(obj, title), np.flatnonzero(upper))

@@ -21,12 +21,12 @@ REDRAW, MOVED, CHANGE = 0.05, 0.05, 0.6
 
 
 @pytest.fixture
-def crowd(chest, request):  # noqa: F811
-    """A body in a shirt among cubes, ten thousand for a test of the clock; Blender keeps what redraws ask."""
+def crowd(chest):  # noqa: F811
+    """A body in a shirt among ten thousand cubes; Blender keeps what redraws ask."""
     shirt = add_shirt(chest)
     bpy.ops.mesh.primitive_cube_add(size=0.3, location=(5, -5, 0))
     mesh = bpy.context.object.data
-    for number in range(getattr(request, "param", OBJECTS)):
+    for number in range(OBJECTS):
         cube = bpy.data.objects.new(f"Cube {number}", mesh)
         cube.location = (2 + number % 100, 2 + number // 100, 0)
         bpy.context.collection.objects.link(cube)

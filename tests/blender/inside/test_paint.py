@@ -5,15 +5,11 @@ import numpy as np
 import pytest
 from cloak.blender import faces
 from cloak.blender.evaluated import read_surface
-from made import add_ngons, centers, make_egg, set_mode, stroke
+from made import add_ngons, centers, logo_ids, make_egg, set_mode, stroke
 from mathutils import Matrix, Vector
 
 FRONT = (0.1, -0.24, 0.95)
 """A place on the egg's front, on one side."""
-
-
-def painted(obj, name: str = "Logo") -> np.ndarray:
-    return np.flatnonzero(faces.read_faces(obj, name))
 
 
 def paint(*dabs, **options) -> None:
@@ -32,13 +28,13 @@ def test_a_stroke_makes_a_logo_adds_to_it_and_takes_from_it(mode):
     place = on_egg(obj, 0.1, 0.95)
     paint((place, 0.15))
     distance = np.linalg.norm(centers(obj) - place, axis=1)
-    first = painted(obj)
+    first = logo_ids(obj)
     assert np.array_equal(first, np.flatnonzero((distance <= 0.15) & (centers(obj)[:, 1] < 0))) and len(first) > 10
     paint((on_egg(obj, -0.2, 1.2), 0.1), (on_egg(obj, -0.2, 1.3), 0.1))
-    both = painted(obj)
+    both = logo_ids(obj)
     assert set(first) < set(both)
     paint((place, 0.15), action="REMOVE")
-    assert set(painted(obj)) == set(both) - set(first)
+    assert set(logo_ids(obj)) == set(both) - set(first)
     assert obj.mode == mode and obj.cloak.logo == "Logo"
 
 
@@ -46,7 +42,7 @@ def test_a_brush_smaller_than_a_face_paints_the_face_it_touches():
     obj = make_egg(6)
     place = on_egg(obj, 0.07, 0.95)
     paint((place, 0.001))
-    (only,) = painted(obj)
+    (only,) = logo_ids(obj)
     assert only == obj.closest_point_on_mesh(place)[3]
 
 
@@ -56,7 +52,7 @@ def test_what_looks_the_other_way_is_not_painted():
     obj.scale.y = 0.02
     bpy.context.view_layer.update()
     paint((on_egg(obj, 0.0, 0.9), 0.1))
-    assert (centers(obj)[painted(obj)][:, 1] < 0).all() and len(painted(obj)) > 9
+    assert (centers(obj)[logo_ids(obj)][:, 1] < 0).all() and len(logo_ids(obj)) > 9
 
 
 def test_a_mirrored_stroke_paints_both_sides_of_a_turned_body():
@@ -77,7 +73,7 @@ def test_hidden_faces_and_posed_bodies():
     hidden = np.linalg.norm(centers(obj) - place, axis=1) < 0.08
     obj.data.polygons.foreach_set("hide", hidden)
     paint((place, 0.15))
-    assert not faces.read_faces(obj, "Logo")[hidden].any() and len(painted(obj)) > 5
+    assert not faces.read_faces(obj, "Logo")[hidden].any() and len(logo_ids(obj)) > 5
     obj.data.polygons.foreach_set("hide", np.zeros(len(hidden), bool))
     obj.shape_key_add(name="Basis")
     key = obj.shape_key_add(name="Up")
@@ -86,7 +82,7 @@ def test_hidden_faces_and_posed_bodies():
     key.value = 1
     bpy.ops.cloak.logo_remove()
     paint(((place[0], place[1], place[2] + 5), 0.15))
-    assert len(painted(obj)) > 10
+    assert len(logo_ids(obj)) > 10
 
 
 def test_refusals():

