@@ -36,6 +36,36 @@ def detector(folder: Path, old: str = "", new: str = ""):
     return load_detector(f"python:{folder / 'mine.py'}:load")
 
 
+VIEWS = """
+class Mine(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("kernel", torch.randn(4, 3, 3, 3, generator=torch.Generator().manual_seed(0)))
+
+    def forward(self, images):
+        self.strides = images.stride()
+        scores = torch.conv2d(images, self.kernel).view(len(images), -1).sigmoid()
+        width, height = images.shape[3], images.shape[2]
+        return torch.tensor([0.0, 0.0, width / 2, height]).expand(*scores.shape, 4), scores
+"""
+
+
+@pytest.mark.parametrize("at", ["", "@32"])
+def test_it_sees_pixels_in_the_usual_order_and_boxes_come_back_to_the_images_size(tmp_path: Path, at: str) -> None:
+    (tmp_path / "mine.py").write_text(f"import torch\n{VIEWS}")
+    made, plain = (load_detector(f"python:{tmp_path / 'mine.py'}:Mine{at}", fold=fold) for fold in (True, False))
+    batch = torch.rand(2, 3, 40, 60, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    for _ in range(2):
+        found = made(batch)
+        torch.testing.assert_close(found.scores, plain(batch).scores)
+    assert made.name == "mine" and made.module.strides[1] == (32 * 32 if at else 40 * 60)
+    torch.testing.assert_close(found.boxes[:, 0], torch.tensor([[0.0, 0.0, 30.0, 40.0]] * 2))
+    found.scores.sum().backward()
+    assert batch.grad.abs().sum() > 0 and not [p for p in made.parameters() if p.requires_grad]
+    with pytest.raises(InputError, match="has no function 'absent'"):
+        load_detector(f"python:{tmp_path / 'mine.py'}:absent")
+
+
 def test_it_may_tell_what_else_it_sees(tmp_path: Path) -> None:
     told = "Detections(boxes, scores, other=1 - scores, other_class=(0 * scores).long())"
     lines = SOUND.replace("return boxes, scores", f"return {told}").replace(

@@ -1,13 +1,15 @@
-"""The verification kit: every family passes it, and what is wrong with a wrapper is found and named."""
+"""Checking a detector: every family passes the kit, and what is wrong is named; how its network wants pixels."""
 
 import json
 from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detections, Detector
+from cloak_core.detectors.check import check_image, plausibility
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.verification import verify
 from cloak_core.detectors.verification.comparing import apart
@@ -144,24 +146,10 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     said = capsys.readouterr()
     assert end.value.code == 1 and "failed: shapes" in said.err and bad in said.err and spec not in said.err
     assert "FAILED" in said.out and "unchanged, bit by bit" in said.out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--images", "nowhere"], "nowhere: no such folder"),
-        (["--images", "."], "holds no pictures"),
-        (["--renders", "0"], "some images are needed"),
-    ],
-)
-def test_what_the_command_cannot_use(arguments: list[str], words: str, tmp_path: Path, monkeypatch, capsys) -> None:
-    from cloak_core.cli import main
-
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as end:
-        main(["detectors", "verify", "builtin", *arguments])
-    assert end.value.code == 2 and words in capsys.readouterr().err
+    for arguments, words in (("--images nowhere", "no such folder"), ("--renders 0", "some images are needed")):
+        with pytest.raises(SystemExit) as end:
+            main(["detectors", "verify", "builtin", *arguments.split()])
+        assert end.value.code == 2 and words in capsys.readouterr().err
 
 
 def test_what_else_is_told_is_checked_too() -> None:
@@ -179,3 +167,42 @@ def test_what_else_is_told_is_checked_too() -> None:
     assert verify(Telling(number=2), images(4))["failed"] == ["scores in [0, 1]"]
     assert "batch invariance" in verify(Telling(wrong=True), images(4))["failed"]
     assert "parity" in verify(Telling(), images(4), original=Fake())["failed"]
+
+
+def save(tensor: torch.Tensor, path: Path) -> Path:
+    Image.fromarray((tensor.permute(1, 2, 0) * 255).to(torch.uint8).numpy()).save(path)
+    return path
+
+
+def test_check_gives_score_boxes_and_picture(tmp_path: Path) -> None:
+    detector = load_detector(write_tiny(tmp_path))
+    file = save(images(1, 48, 80)[0], tmp_path / "in.png")
+    result = check_image(detector, file, threshold=0.1, out=tmp_path / "out.png")
+    assert set(result) == {"max_person", "boxes", "operating_point", "operating_point_assumed", "reported"}
+    assert result["boxes"] and result["boxes"][0][4] == pytest.approx(result["max_person"])
+    picture = Image.open(tmp_path / "out.png")
+    assert picture.size == (80, 48) and picture.tobytes() != Image.open(file).tobytes()
+    high = check_image(detector, file, threshold=0.9999)
+    assert high == result | {"boxes": []}
+
+
+def test_what_the_detector_itself_reports(tmp_path: Path) -> None:
+    spec, file = write_tiny(tmp_path), save(images(1, 48, 80)[0], tmp_path / "in.png")
+    usual = check_image(load_detector(spec), file)
+    assert usual["operating_point_assumed"] and usual["operating_point"] == 0.25
+    low, high = (check_image(load_detector(f"{spec}@conf={point}"), file) for point in (0.01, 0.99))
+    assert low["reported"] > high["reported"] == 0 and not low["operating_point_assumed"]
+
+
+BOXES = torch.tensor([[10.0, 10, 30, 50, 0.9], [60, 20, 80, 40, 0.5]])
+
+
+def mirrored(boxes: torch.Tensor, width: int = 100) -> torch.Tensor:
+    return torch.stack([width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3], boxes[:, 4]], dim=1)
+
+
+def test_boxes_that_a_mirror_image_shows_too_are_plausible() -> None:
+    assert plausibility(BOXES, mirrored(BOXES), 100) == 1.0
+    assert plausibility(BOXES, BOXES, 100) == plausibility(BOXES[:0], BOXES, 100) == 0.0
+    crowd = torch.cat([BOXES, BOXES + torch.tensor([3.0, 40, 3, 40, 0])])
+    assert 0 < plausibility(crowd, mirrored(BOXES), 100) < plausibility(BOXES, mirrored(BOXES), 100)

@@ -1,7 +1,8 @@
-"""Real weights on real photographs, and the golden outputs of the full cfgs."""
+"""Real weights on real photographs and clean renders, and the golden outputs of the full cfgs."""
 
 import runpy
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,18 @@ from PIL import Image
 
 from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.detector.scoring import box_iou, max_person_score, person_boxes
+from cloak_core.core.logo import make_logo, select_region
+from cloak_core.core.settings import make_settings
 from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.verification import verify
+from cloak_core.detectors.verification.kit import natural_size
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.clean import check_scene, sample_images
+from cloak_core.studies.trainings.training import train
 from tests.detectors.helpers import lowers_score
 
 WEIGHTS = {
@@ -88,3 +97,55 @@ def test_a_gradient_step_lowers_the_score(name: str, picture: str, shared: Path)
     before, after = lowers_score(detector, photo(shared, picture))
     assert bool((after < before).all())
     assert state_hash(detector) == before_hash
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "size", "recall"), [("yolo-lite", None, 0.85), ("yolo-fastest-xl", 416, 0.9), ("yolov3-nano", 416, 0.85)]
+)
+def test_finds_clean_bodies_and_nothing_else(name: str, size: int | None, recall: float, shared: Path) -> None:
+    bodies = read_scene(shared / "data" / "bodies_anny.npz")
+    backgrounds = load_backgrounds(shared / "data" / "backgrounds")
+    detector = load_detector(spec_of(name, shared), input_size=size)
+    result = check_scene(detector, bodies, backgrounds, [0.0], images_per_view=4)
+    assert result["clean_recall"] >= recall
+    assert result["false_alarms"] <= 0.06
+
+
+def verified(name: str, shared: Path) -> str:
+    file = shared / "data" / "detectors" / f"{name}.onnx"
+    if name != "builtin" and file.is_file() and find_spec("onnx2torch") is None:
+        pytest.skip("pip install 'cloak-core[onnx]'")
+    return name if name == "builtin" else f"onnx:{file}" if file.is_file() else spec_of(name, shared)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["builtin", "yolo-fastest-xl", "d2go", "fastestdet", "yolov5n"])
+def test_real_detectors_keep_what_they_promise(name: str, shared: Path) -> None:
+    detector = load_detector(verified(name, shared))
+    report = verify(detector, sample_images(natural_size(detector), shared / "data" / "photos", 2))
+    assert report["failed"] == [] and report["white_box"] and report["images"] == 8
+    assert (report["parity_scores"] is None) == (name == "d2go")
+    assert report["gradient_error"] < (0.5 if name == "d2go" else 0.1)
+
+
+@pytest.mark.slow
+def test_resume_is_bit_identical_on_a_real_detector(shared, tmp_path):
+    detector = load_detector(spec_of("yolo-lite", shared) + "@224")
+    bodies = read_scene(shared / "data" / "bodies_anny.npz").select_poses(range(2))
+    logo = make_logo(bodies, select_region(bodies, "chest_thighs"))
+    backgrounds = load_backgrounds(shared / "data" / "backgrounds").subset(range(4))
+    settings = make_settings("best", steps=5, batch=2, threads=2, angles="0,5", preview_every=0)
+    before = state_hash(detector)
+
+    def run(out, stop_at=0, resume=False):
+        stop = lambda event: (out / "cancel").touch() if (event["type"], event["step"]) == ("step", stop_at) else None
+        return train(settings, bodies, logo, [detector], backgrounds, out, resume=resume, on_event=stop)
+
+    whole = run(tmp_path / "whole")
+    part = run(tmp_path / "part", stop_at=2)
+    assert (part.step, part.stopped) == (2, "cancel file")
+    rest = run(tmp_path / "part", resume=True)
+    assert np.array_equal(whole.colors, rest.colors)
+    assert not np.array_equal(part.colors, rest.colors)
+    assert state_hash(detector) == before

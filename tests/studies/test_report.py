@@ -26,7 +26,7 @@ from cloak_core.studies.report.plots import success_by_body
 from cloak_core.studies.report.words import interval, percent
 from cloak_core.studies.trained_run import History
 from tests.core.fakes import RedDetector
-from tests.sources.photographs.test_coco_reader import with_value
+from tests.sources.photographs.test_people_files import with_value
 from tests.studies.made_evaluation import made_results, write_run
 
 HOSTILE = '<script>alert("1")</script>&'

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import binary_dilation
 
 from cloak_core.core.images import dressed
 from cloak_core.core.logo import Cover
@@ -13,21 +14,35 @@ from cloak_core.files.errors import InputError
 from cloak_core.jobs.processes import Processes
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.sources.photographs import fitting
+from cloak_core.sources.photographs.annotation import INDEX, Landmarks
 from cloak_core.sources.photographs.fits import fit_people, pack_fit, unpack_fit
-from cloak_core.sources.photographs.fitting import fit_all
+from cloak_core.sources.photographs.fitting import _drawn_out, fit_all
 from cloak_core.sources.photographs.people import load_people
-from cloak_core.sources.photographs.rig import ANNY, body_rig, faces_on_rig
+from cloak_core.sources.photographs.posing import pose_to
+from cloak_core.sources.photographs.rig import ANNY, NUMBER, body_rig, faces_on_rig
 from cloak_core.sources.photographs.views import EXACT, FitJitter, Framing, framing_of, logo_positions, photograph_view
-from tests.sources.photographs.made_people import annotation, photograph, standing, write_people
+from tests.sources.photographs.made_people import (
+    annotation,
+    landmarks_of,
+    photograph,
+    run_lengths,
+    standing,
+    write_people,
+)
 
 pytestmark = pytest.mark.slow
 
 
-def person_of(folder, posed, kind="blazepose"):
+def person_of(folder, posed, kind="blazepose", beyond=0):
+    """A made person and her true triangles; beyond: pixels by which her mask reaches beyond the body."""
     folder.mkdir(exist_ok=True)
     record, triangle = annotation(posed, kind=kind)
     photograph(triangle >= 0).save(folder / "made.png")
     height, width = triangle.shape
+    if beyond:
+        mask = binary_dilation(triangle >= 0, iterations=beyond)
+        record["segmentation"] = {"size": [height, width], "counts": run_lengths(mask)}
     images = [{"id": 1, "file_name": "made.png", "width": width, "height": height}]
     (folder / "p.json").write_text(json.dumps({"images": images, "annotations": [record]}))
     (person,) = load_people(folder / "p.json").people
@@ -41,12 +56,58 @@ def person_of(folder, posed, kind="blazepose"):
 def test_faces_lie_where_they_truly_are(tmp_path, azimuth, swing, kind):
     person, triangle = person_of(tmp_path, standing(azimuth, swing), kind)
     fit, rig = fit_all([person])[0], body_rig()
-    assert fit.quality["landmark_px"] < 0.5 and fit.quality["covered"] > 0.9
+    assert fit.quality["landmark_px"] < 0.5 and fit.quality["covered"] > 0.9 and fit.quality["spilled"] < 0.05
+    np.testing.assert_allclose(np.add.reduceat(fit.share, fit.crow[:-1]), 1, atol=1e-5)
+    row = np.repeat(np.arange(len(fit.pixels)), np.diff(fit.crow))
+    of_main = np.bincount(row, fit.share * (fit.triangle == fit.main[row]))
+    np.testing.assert_allclose(np.maximum.reduceat(fit.share, fit.crow[:-1]), of_main)
     centre = rig.vertices[rig.triangles].mean(axis=1)
     truth = triangle[triangle.shape[0] - person.mask.shape[0] :, :].ravel()[fit.pixels]
     away = np.linalg.norm(fit.rest - centre[truth], axis=1)
     # Half of the pixels within a face or two, nine in ten within a hand's breadth.
     assert np.median(away) < 0.04 and np.quantile(away, 0.9) < 0.12
+
+
+@pytest.mark.parametrize(("azimuth", "facing"), [(0, 1), (180, -1)])
+def test_what_a_mask_has_beyond_the_body_is_dressed_by_the_pixel_nearest_to_it(tmp_path, azimuth, facing):
+    person, _ = person_of(tmp_path, standing(azimuth), beyond=4)
+    fit, width = fit_all([person])[0], person.shape[1]
+    borrows = (fit.lender != fit.pixels) & np.isin(fit.lender, fit.pixels)
+    (x, y), (from_x, from_y) = ((at[borrows] % width, at[borrows] // width) for at in (fit.pixels, fit.lender))
+    assert 500 < borrows.sum() and np.hypot(x - from_x, y - from_y).max() < 10
+    of_pixel = np.full(person.mask.size, -1)
+    of_pixel[fit.pixels] = np.arange(len(fit.pixels))
+    moved = fit.rest[borrows] - fit.rest[of_pixel[fit.lender[borrows]]]
+    np.testing.assert_allclose(moved[:, 0], facing * (x - from_x) / fit.scale, atol=1e-9)
+    np.testing.assert_allclose(moved[:, 1], (from_y - y) / fit.scale, atol=1e-9)
+
+
+def test_hands_lend_less_far_than_clothes_and_never_more_than_is_near():
+    row = np.full((3, 60), -1)
+    row[:, 20:25], row[:, 40] = 7, 9
+    segment = np.where(row == 7, NUMBER["chest"], np.where(row == 9, NUMBER["l_hand"], -1))
+    mask = np.zeros(row.shape, bool)
+    mask[1, 2:59] = True
+    pixels, lender = _drawn_out(row, segment, mask, 100)  # clothes reach 12 pixels, a hand 2
+    assert dict(zip((pixels - 60).tolist(), lender.tolist(), strict=True)) == {
+        **dict.fromkeys(range(8, 37), 7),
+        **dict.fromkeys(range(38, 43), 9),
+    }
+
+
+@pytest.mark.parametrize("rounds", [fitting.ROUNDS, fitting.ROUNDS - 1])
+def test_limbs_become_as_wide_as_the_mask_says_and_stay_so(tmp_path, monkeypatch, rounds):
+    monkeypatch.setattr(fitting, "ROUNDS", rounds)
+    true, rig = standing(), body_rig()
+    at = landmarks_of(true, rig)
+    widths = {"l_thigh": 1.3, "r_thigh": 1.3, "l_shin": 0.8, "r_shin": 0.8}
+    visibility = np.where(np.arange(len(at)) < INDEX["l_heel"], 1.0, 0.0)
+    person, _ = person_of(tmp_path, pose_to(Landmarks(at[:, :2], at[:, 2], visibility), rig, widths))
+    fit = fit_all([person])[0]
+    for name, width in {**widths, "chest": 1.0, "l_forearm": 1.0}.items():
+        size = np.linalg.svd(fit.posed.transforms[NUMBER[name], :, :3], compute_uv=False)
+        across = size[0] if width > 1 else size[-1]
+        assert across / fit.scale == pytest.approx(width, abs=0.12), name
 
 
 @pytest.mark.parametrize("cache", ["kept", "off"])
@@ -94,6 +155,17 @@ def test_annys_faces_are_the_halves_of_the_quads_and_another_topology_is_refused
 def fitted(tmp_path_factory):
     person, _ = person_of(tmp_path_factory.mktemp("fitted"), standing(20, 5))
     return fit_all([person])[0]
+
+
+def test_a_pixel_shows_the_point_of_the_body_that_lies_there(fitted):
+    rig, own = body_rig(), fitted.lender == fitted.pixels
+    corners = rig.triangles[fitted.main[own]]
+    with_one = lambda places: np.concatenate([places, np.ones((*places.shape[:-1], 1))], axis=-1)
+    weights = np.linalg.pinv(with_one(rig.vertices[corners]).transpose(0, 2, 1)) @ with_one(fitted.rest[own])[..., None]
+    seen = (weights * fitted.posed.vertices(rig)[corners]).sum(axis=1)[:, :2]
+    row, column = np.divmod(fitted.pixels[own], fitted.person.shape[1])
+    away = np.linalg.norm(seen - np.stack([column + 0.5, -(row + 0.5)], axis=1), axis=1)
+    assert np.median(away) < 1e-6 and away.max() < 2 and weights.min() > -1e-9
 
 
 def dressed_image(fit, framing, color, jitter=EXACT):

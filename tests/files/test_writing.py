@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all: what killed processes leave goes, what living ones write stays."""
+"""Folders that appear whole or not at all, and locks: what killed processes leave goes, what living ones hold stays."""
 
 import os
 import signal
@@ -7,12 +7,9 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from cloak_core.files.caching import DiskCache
-from cloak_core.files.writing import DAY, new_folder, open_to_append, write_bytes
-from cloak_core.zoo import entry as zoo
+from cloak_core.files.writing import DAY, is_held, lock, new_folder, open_to_append, write_bytes
 
 WRITER = """
 import sys, time
@@ -73,33 +70,27 @@ def test_what_earlier_versions_left_goes_after_a_day(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [".out.ijklmnop", "out"]
 
 
-@pytest.mark.parametrize("content", [b"", b"\0\0\0\0", b"\0" * 64, b"\0"])
-def test_a_cache_file_of_zeros_is_no_data(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "a.view").write_bytes(content)
-    assert DiskCache(tmp_path, ".view", 1 << 20, "views").get("a") is None
+HOLD = (
+    "import sys; from pathlib import Path; from cloak_core.files.writing import lock\n"
+    "with lock(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+)
 
 
-ASK = """
-import sys
-from cloak_core.zoo.entry import run_path
-print(run_path("zoo:builtin-sample"))
-"""
+def test_a_lock_is_held_until_its_process_is_gone_however_that_ends(tmp_path: Path) -> None:
+    path = tmp_path / ".lock"
+    assert not is_held(path) and not path.exists()  # asking makes nothing
+    holder = subprocess.Popen([sys.executable, "-c", HOLD, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
+    assert is_held(path)
+    with pytest.raises(BlockingIOError), lock(path):
+        pass
+    holder.kill()
+    holder.communicate(timeout=120)
+    assert not is_held(path)
+    with lock(path):  # asking took nothing
+        pass
 
 
-def test_many_processes_may_meet_at_a_cold_cache(tmp_path: Path) -> None:
-    environment = os.environ | {"CLOAK_CACHE": str(tmp_path)}
-    ask = [sys.executable, "-c", ASK]
-    asked = [subprocess.Popen(ask, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(4)]
-    answers = [process.communicate() for process in asked]
-    assert [process.returncode for process in asked] == [0] * 4, answers
-    assert len({place for place, _ in answers}) == 1 and not any(said for _, said in answers)
-
-
-def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch, caplog) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "file"))
-    zoo._run_of.cache_clear()
-    run = zoo.run_path("zoo:builtin-sample")
-    assert np.load(run / "colors.npy").shape[1] == 3
-    assert "are not kept" in caplog.text
-    zoo._run_of.cache_clear()
+def test_what_is_no_lock_file_is_held_by_nobody(tmp_path: Path) -> None:
+    (tmp_path / ".lock").mkdir()
+    assert not is_held(tmp_path / ".lock")
