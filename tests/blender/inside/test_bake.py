@@ -90,6 +90,7 @@ def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
     pixels = image_pixels(bpy.data.images["Body cloak"])
     assert [layer.name for layer in obj.data.uv_layers] == ["cloak.uv"]
     assert bake.faces_off(obj.data, "cloak.uv", pixels, trained) == 0
+    assert np.array_equal(pixels[:, -1], pixels[:, -2]), "what is left over beside the last square has its colour"
     corners = np.array([uv.vector for uv in obj.data.uv_layers["cloak.uv"].uv])
     x, y = (corners * 256).astype(int).T
     own = np.repeat(trained, [len(p.vertices) for p in obj.data.polygons], axis=0)
