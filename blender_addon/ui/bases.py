@@ -105,7 +105,6 @@ def push_undo(message: str) -> None:
 
 # --- panels ----------------------------------------------------------------------------------------------------------
 
-POINTS = 11.0  # size of the words on labels
 BESIDE_WORDS = 88.0  # pixels of the sidebar that a label in a box does not have: margins, its icon, the tabs
 
 
@@ -113,7 +112,7 @@ def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, i
     """Draw a message, wrapped to the width of the sidebar: Blender cuts off what is wider."""
     scale = context.preferences.system.ui_scale
     room = context.region.width - BESIDE_WORDS * scale if context.region else 300
-    blf.size(0, POINTS * scale)
+    blf.size(0, context.preferences.ui_styles[0].widget.points * scale)
     text = said(text)
     letter = max(1.0, blf.dimensions(0, text)[0] / max(1, len(text)))
     for width in range(max(10, int(room / letter)), 9, -1):  # of the mean letter; some lines have wider ones
