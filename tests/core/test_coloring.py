@@ -263,8 +263,11 @@ def test_only_a_print_is_worth_a_share(initial):
         {"pattern": "camouflage"},
         {"octaves": 3, "gamut": "sigmoid"},
         {"initial": "balls", "initial_share": 0.5},
+        {"profile": "p.npz"},
     ],
 )
-def test_a_search_for_answers_alone_refuses_patterns(tmp_path, change):
+def test_a_search_for_answers_alone_refuses_patterns(tmp_path, monkeypatch, change):
+    monkeypatch.chdir(tmp_path)
+    write_profile("p.npz", dull())
     with pytest.raises(InputError, match="--black-box-queries: free colours alone"):
         run(tmp_path / "run", black_box_queries=64, **change)

@@ -158,6 +158,10 @@ def test_boxes_on_her_count_and_on_renders_every_box(box, alone, score):
 
 
 def test_a_neighbours_box_does_not_count():
-    others = torch.tensor([[[150.0, 110.0, 250.0, 390.0]]])
-    found = only_hers(boxes([152, 110, 250, 390, 0.9], [100, 100, 200, 400, 0.8]), BODY, others)
-    assert found.scores.tolist() == [[0.0, pytest.approx(0.8)]]
+    """Though more than half of it lies in hers, as its owner's does."""
+    neighbour, others = (
+        boxes([142, 110, 240, 390, 0.9], [100, 100, 200, 400, 0.8]),
+        torch.tensor([[[140.0, 110, 240, 390]]]),
+    )
+    assert only_hers(neighbour, BODY, NOBODY).scores.tolist() == [pytest.approx([0.9, 0.8])]
+    assert only_hers(neighbour, BODY, others).scores.tolist() == [pytest.approx([0.0, 0.8])]

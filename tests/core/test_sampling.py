@@ -37,6 +37,7 @@ def test_an_epoch_shows_every_background_once_at_every_angle():
         assert pairs == {(b, a) for b in range(7) for a in (-10.0, -5.0, 0.0, 5.0, 10.0)}
         counts = np.bincount(draws.shown["pose"][part], minlength=3)
         assert counts.max() - counts.min() <= 1
+    assert not np.array_equal(draws.background[:35], draws.background[35:70]), "every epoch in an order of its own"
 
 
 def test_the_last_batch_is_what_is_left():
