@@ -1,9 +1,10 @@
-"""Runs that were stopped, damaged or finished go on, to the same bits, or are refused by name."""
+"""Runs are stopped in order; those stopped, damaged or finished go on, to the same bits, or are refused by name."""
 
 import contextlib
 import os
 import shutil
 import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from cloak_core.core import loop
 from cloak_core.core.events import read_events
+from cloak_core.core.loop import stop_request
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from tests.core.fakes import TinyDetector
@@ -96,3 +98,35 @@ def test_a_run_that_appears_meanwhile_is_gone_on_with(tmp_path, monkeypatch):
         run(tmp_path / "first", steps=2)
     run(tmp_path / "second", steps=2, resume=True)
     assert (tmp_path / "second" / "colors.npy").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_asks_once_and_then_acts(tmp_path, number):
+    heard = []
+    before = signal.signal(number, lambda *_: heard.append("ours"))
+    try:
+        with stop_request(tmp_path / "cancel") as stop:
+            assert stop.reason(0.0) == ""
+            os.kill(os.getpid(), number)
+            assert stop.reason(0.0) == signal.Signals(number).name
+            assert heard == []
+            os.kill(os.getpid(), number)
+            assert heard == ["ours"]
+        os.kill(os.getpid(), number)
+        assert heard == ["ours", "ours"]
+    finally:
+        signal.signal(number, before)
+
+
+def test_other_threads_leave_the_handlers_alone(tmp_path):
+    before = signal.getsignal(signal.SIGTERM)
+    seen = []
+
+    def work():
+        with stop_request(tmp_path / "cancel") as stop:
+            seen.append((signal.getsignal(signal.SIGTERM) is before, stop.reason(0.0)))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [(True, "")]

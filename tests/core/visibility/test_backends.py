@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from bodies_made import sphere
+from bodies_made import soup, sphere
 
-from cloak_core.bench.oracle import screen_of
 from cloak_core.core.cameras import Camera
 from cloak_core.core.logo import Cover
 from cloak_core.core.visibility.compiled import torch_alone
@@ -117,11 +116,7 @@ def test_places_on_a_cloth(samples: int | None) -> None:
 @pytest.mark.parametrize("grid", [1, 2, 8])
 def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
     """Depth and triangle of every sample, from triangles inside the image to ones too large for float64."""
-    rng = np.random.default_rng(extent + grid)
-    x, y = (rng.integers(-extent, size * GRID + extent, 90) for size in (13, 9))
-    x[::3], y[::3] = x[::3] // (GRID // 2) * (GRID // 2), y[::3] // (GRID // 2) * (GRID // 2)
-    screen = screen_of(x, y, rng.uniform(0.1, 1, 90), 13, 9)
-    triangles = torch.from_numpy(rng.integers(0, 90, (3, 200)))
+    screen, triangles = soup(extent + grid, extent, 90, (13, 9))
     for cull in (False, True):
         ours = rasterize(screen, triangles, grid, torch.tensor([cull]))
         with torch_alone():

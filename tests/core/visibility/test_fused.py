@@ -4,12 +4,10 @@ import re
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 import torch
-from bodies_made import sphere
+from bodies_made import soup, sphere
 
-from cloak_core.bench.oracle import screen_of
 from cloak_core.core.cameras import Camera
 from cloak_core.core.view import View
 from cloak_core.core.visibility import compiled
@@ -32,12 +30,8 @@ def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("extent", [0, 3 * GRID, GUARD // 2])
 @pytest.mark.parametrize("grid", [1, 2])
 def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
-    rng = np.random.default_rng(extent + grid)
-    x, y = (rng.integers(-extent, size * GRID + extent, 30) for size in (7, 5))
-    x[::3], y[::3] = x[::3] // (GRID // 2) * (GRID // 2), y[::3] // (GRID // 2) * (GRID // 2)
-    screen = screen_of(x, y, rng.uniform(0.1, 1, 30), 7, 5)
-    triangles = torch.from_numpy(rng.integers(0, 30, (3, 40)))
-    cull = torch.from_numpy(rng.random((1, 40)) < 0.5)
+    screen, triangles = soup(extent + grid, extent, 30, (7, 5))
+    cull = torch.rand(1, 60, generator=torch.Generator().manual_seed(grid)) < 0.5
     with torch_alone():
         plain = rasterize(screen, triangles, grid, cull)
         with triton_kernels():
