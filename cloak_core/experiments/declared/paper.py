@@ -84,16 +84,13 @@ TABLE1 = Experiment(
 
 # --- trained at azimuth 0 alone, tested at every whole degree around it
 
-
-def single_angle_cells(store: RunStore) -> Cells:
-    for spec in store.specs:
-        yield Cell(label={}, specs=[spec], training={"angles": SINGLE}, along={"angle": test_angles(store)})
-
-
 SINGLE_ANGLE = Experiment(
     title="Trained at one angle, tested at unseen ones",
     caption="Chest + thighs is trained at azimuth 0 alone and tested at unseen angles around it.",
-    cells=single_angle_cells,
+    cells=lambda store: (
+        Cell(label={}, specs=[spec], training={"angles": SINGLE}, along={"angle": test_angles(store)})
+        for spec in store.specs
+    ),
     figures={"angles": Lines(x="angle", series="detector", clothing=True)},
     paper=tuple(
         {"detector": row["detector"], "success": row["single"]}
@@ -152,23 +149,20 @@ WIDE_ANGLE = Experiment(
 
 # --- transfer: chest + thighs trained against each detector, tested on all of them
 
-
-def transfer_cells(store: RunStore) -> Cells:
-    for source in store.specs:
-        yield Cell(
+TRANSFER = Experiment(
+    title="Transfer between detectors",
+    caption="Chest + thighs is trained at five angles against each detector and shown to every other (black box). "
+    "With a single detector there is no transfer: name several with --detector.",
+    cells=lambda store: (
+        Cell(
             label={"trained_on": source},
             specs=[source],
             training={"angles": MULTI},
             judges=store.specs,
             judge_column="tested_on",
         )
-
-
-TRANSFER = Experiment(
-    title="Transfer between detectors",
-    caption="Chest + thighs is trained at five angles against each detector and shown to every other (black box). "
-    "With a single detector there is no transfer: name several with --detector.",
-    cells=transfer_cells,
+        for source in store.specs
+    ),
     figures={"matrix": Matrix()},
 )
 
