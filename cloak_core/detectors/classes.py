@@ -117,36 +117,38 @@ def read_description(path: Path) -> Description:
         return Description()
 
 
-def describe(said: Mapping[str, object]) -> Description:
+def describe(record: Mapping[str, object]) -> Description:
     """Understand what a file's metadata or a JSON file says of a network.
 
     Understood: `classes` (or names, class_names, labels: a list, or {"0": NAME}), `person_class` (an index or a name),
     `confidence` in (0, 1), `licence`, `output.layout`, and `input` with `channels` (RGB or BGR), `range` and
     `normalisation`.
     """
-    names = next((found for key in NAMES if (found := names_of(said.get(key)))), None)
-    outputs, inputs = (part if isinstance(part, Mapping) else {} for part in (said.get("output"), said.get("input")))
-    layout, person = outputs.get("layout", said.get("layout")), said.get("person_class")
+    names = next((found for key in NAMES if (found := names_of(record.get(key)))), None)
+    outputs, inputs = (
+        part if isinstance(part, Mapping) else {} for part in (record.get("output"), record.get("input"))
+    )
+    layout, person = outputs.get("layout", record.get("layout")), record.get("person_class")
     if isinstance(person, str) and person in (names or ()):
         person = names.index(person)
-    licences = (" ".join(word.split()) for key in LICENCE if isinstance(word := said.get(key), str))
+    licences = (" ".join(word.split()) for key in LICENCE if isinstance(word := record.get(key), str))
     return Description(
         names,
         person if isinstance(person, int) and not isinstance(person, bool) and person >= 0 else None,
         layout if isinstance(layout, str) else None,
-        confidence_of(said),
+        confidence_of(record),
         _pixels(inputs),
         next(licences, None) or None,
     )
 
 
-def names_of(said: object) -> tuple[str, ...] | None:
+def names_of(names: object) -> tuple[str, ...] | None:
     """Read class names from a list of words, or from a word for each number; None where it is neither."""
-    said = literal(said) if isinstance(said, str) else said
-    if isinstance(said, Mapping):
-        said = [said.get(index, said.get(str(index))) for index in range(len(said))]
-    words = isinstance(said, list | tuple) and said and all(isinstance(name, str) for name in said)
-    return tuple(said) if words else None
+    names = literal(names) if isinstance(names, str) else names
+    if isinstance(names, Mapping):
+        names = [names.get(index, names.get(str(index))) for index in range(len(names))]
+    words = isinstance(names, list | tuple) and names and all(isinstance(name, str) for name in names)
+    return tuple(names) if words else None
 
 
 def literal(text: str) -> object:
@@ -157,20 +159,20 @@ def literal(text: str) -> object:
         return None
 
 
-def confidence_of(said: Mapping[str, object]) -> float | None:
+def confidence_of(record: Mapping[str, object]) -> float | None:
     """Find the first usual name under which a confidence in (0, 1) is said, as a number or as text."""
     for key in CONFIDENCE:
         with contextlib.suppress(KeyError, TypeError, ValueError):
-            if 0 < (value := float(said[key])) < 1:
+            if 0 < (value := float(record[key])) < 1:
                 return value
     return None
 
 
-def _pixels(said: Mapping) -> PixelFormat | None:
+def _pixels(record: Mapping) -> PixelFormat | None:
     """Read RGB or BGR, 0..1 or 0..255; None where anything else is said."""
-    channels, scale = str(said.get("channels", "")).upper(), str(said.get("range", "")).replace(" ", "")
+    channels, scale = str(record.get("channels", "")).upper(), str(record.get("range", "")).replace(" ", "")
     whites = {"[0,1]": 1.0, "0..1": 1.0, "[0,255]": 255.0, "0..255": 255.0}
-    plain = str(said.get("normalisation", "none")).startswith(("none", "folded"))
+    plain = str(record.get("normalisation", "none")).startswith(("none", "folded"))
     if channels not in ("RGB", "BGR") or scale not in whites or not plain:
         return None
     return PixelFormat(bgr=channels == "BGR", range=whites[scale])

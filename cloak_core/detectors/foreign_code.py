@@ -51,13 +51,13 @@ def limited() -> Iterator[None]:
     Python code and waits (sleep, locks, sockets) are interrupted; native code is not before it returns. Threads beside
     the main one, Windows, and a process whose alarm somebody else has set are left without a limit.
     """
-    said = os.environ.get("CLOAK_DETECTOR_SECONDS", str(MOST_SECONDS))
+    text = os.environ.get("CLOAK_DETECTOR_SECONDS", str(MOST_SECONDS))
     try:
-        seconds = float(said)
+        seconds = float(text)
     except ValueError:
         seconds = -1.0
     if not 0 <= seconds < threading.TIMEOUT_MAX:
-        raise InputError(f"CLOAK_DETECTOR_SECONDS: {said!r} is no number of seconds")
+        raise InputError(f"CLOAK_DETECTOR_SECONDS: {text!r} is no number of seconds")
     is_ours = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
     if not seconds or not is_ours or any(signal.getitimer(signal.ITIMER_REAL)):
         yield

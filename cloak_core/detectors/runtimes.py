@@ -90,15 +90,15 @@ def _before_suppression(network: openvino.Model) -> tuple[openvino.Model, SsdHea
     layers = [op for op in network.get_ordered_ops() if op.get_type_name() == "DetectionOutput"]
     if len(layers) != 1 or len(layers[0].inputs()) != 3:
         return network, None
-    said = layers[0].get_attributes()
-    if not said["share_location"] or not said["normalized"] or said["decrease_label_id"]:
+    attributes = layers[0].get_attributes()
+    if not attributes["share_location"] or not attributes["normalized"] or attributes["decrease_label_id"]:
         return network, None
     offsets, scores = (port.get_shape()[-1] for port in layers[0].inputs()[:2])
     head = SsdHead(
         scores * 4 // offsets,
-        int(said["background_label_id"]),
-        said["code_type"].endswith("CENTER_SIZE"),
-        not said["variance_encoded_in_target"],
+        int(attributes["background_label_id"]),
+        attributes["code_type"].endswith("CENTER_SIZE"),
+        not attributes["variance_encoded_in_target"],
     )
     # Weights in half precision give outputs in it, which would round scores.
     sources = [openvino.opset13.convert(port.get_source_output(), "f32") for port in layers[0].inputs()]

@@ -296,8 +296,8 @@ def stills() -> ImageSet:
 
 def test_certified_recall_is_the_share_found_under_every_mask() -> None:
     own = OwnClothing(Cover(np.zeros(1, np.int64), "stills"))
-    told = certified_recall(defend(Fragile(), f"masked={PATCH}"), stills(), own, 0.7)
-    assert told == {"certified_recall": 0.5, "certified_recall_own": 1.0, "patch": PATCH}
+    recall = certified_recall(defend(Fragile(), f"masked={PATCH}"), stills(), own, 0.7)
+    assert recall == {"certified_recall": 0.5, "certified_recall_own": 1.0, "patch": PATCH}
     assert certified_recall(Fragile(), stills(), own, 0.7) == {}, "without masks nothing is certified"
 
 
@@ -306,6 +306,6 @@ def test_the_command_certifies_people_in_photographs(tmp_path: Path, capfd: pyte
     people = write_people(tmp_path / "people", 2)
     with pytest.raises(SystemExit) as caught:
         cli.main(["detectors", "check", f"masked=16:{write_tiny(tmp_path)}", "--people", str(people), "--json"])
-    told = json.loads(capfd.readouterr().out)
-    assert caught.value.code == 0 and (told["n"], told["patch"]) == (2, 16)
-    assert told["certified_recall_own"] <= told["clean_recall_own"]
+    result = json.loads(capfd.readouterr().out)
+    assert caught.value.code == 0 and (result["n"], result["patch"]) == (2, 16)
+    assert result["certified_recall_own"] <= result["clean_recall_own"]

@@ -184,20 +184,20 @@ def test_answers_that_are_refused(answer: str, here: Path) -> None:
     before = process()
     detector = load_detector(written(here, CALL=REFUSED[answer]))
     state = images()
-    with pytest.raises(InputError) as said:
+    with pytest.raises(InputError) as caught:
         for _ in range(2):
             detector(state)
         detector.verify("")
-    assert str(said.value).isprintable() and "mine.py" in str(said.value)
+    assert str(caught.value).isprintable() and "mine.py" in str(caught.value)
     assert process() == before
 
 
 @pytest.mark.parametrize("fault", NOT_LOADED)
 def test_files_that_are_refused(fault: str, here: Path) -> None:
     before = process()
-    with pytest.raises(InputError) as said:
+    with pytest.raises(InputError) as caught:
         load_detector(written(here, **NOT_LOADED[fault]))
-    assert str(said.value).isprintable() and "mine.py" in str(said.value)
+    assert str(caught.value).isprintable() and "mine.py" in str(caught.value)
     assert process() == before
 
 

@@ -224,7 +224,7 @@ def read(seed: int, folder: Path) -> dict:
     from cloak_core.files.errors import InputError
     from tests.detectors.helpers import images
 
-    began, wrong, said = time.monotonic(), "", ""
+    began, wrong, message = time.monotonic(), "", ""
     with contextlib.redirect_stdout(io.StringIO()):
         make = FILES[seed % len(FILES)]
         spec = make(random.Random(seed), folder)
@@ -232,12 +232,12 @@ def read(seed: int, folder: Path) -> dict:
             found = load_detector(spec)(images(1, 64, 96))
             wrong = "" if bool(found.boxes.isfinite().all()) else "boxes that are no numbers"
         except InputError as error:
-            said = str(error)
-            is_named = str(folder) in said or said.startswith("tflite:")
-            wrong = "" if said.isprintable() and is_named else f"names no file: {said}"
+            message = str(error)
+            is_named = str(folder) in message or message.startswith("tflite:")
+            wrong = "" if message.isprintable() and is_named else f"names no file: {message}"
         except BaseException:
             wrong = traceback.format_exc(limit=-4)
-    return {"seed": seed, "kind": make.__name__, "said": said, "wrong": wrong, "seconds": time.monotonic() - began}
+    return {"seed": seed, "kind": make.__name__, "said": message, "wrong": wrong, "seconds": time.monotonic() - began}
 
 
 MODULES = ("onnx", "onnx2torch", "onnxruntime", "openvino", "ai_edge_litert", "ultralytics", "transformers")

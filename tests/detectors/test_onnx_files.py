@@ -143,19 +143,19 @@ def test_raw_heads_of_yolo(dimensions: int, tmp_path: Path) -> None:
 
 def test_a_json_file_beside_it_says_names_person_and_more(tmp_path: Path) -> None:
     path = Made().finished().save(tmp_path / "m.onnx", names="")
-    said = {
+    record = {
         "classes": {"0": "pedestrian", "1": "vehicle"},
         "person_class": 0,
         "confidence": 0.35,
         "input": {"channels": "BGR", "range": "[0, 255]", "normalisation": "folded into the graph"},
     }
-    path.with_suffix(".json").write_text(json.dumps(said))
+    path.with_suffix(".json").write_text(json.dumps(record))
     detector = load_detector(f"onnx:{path}")
     assert detector.class_names == ("pedestrian", "vehicle") and detector.person == 0
     assert (detector.operating_point, detector.operating_point_assumed) == (0.35, False)
     assert (detector.pixels.bgr, detector.pixels.range, detector.pixels_assumed) == (True, 255.0, False)
-    told = load_detector(f"onnx:{path}@rgb,range=255,person=vehicle,conf=0.5")
-    assert told.person == 1 and not told.pixels.bgr and told.operating_point == 0.5
+    overridden = load_detector(f"onnx:{path}@rgb,range=255,person=vehicle,conf=0.5")
+    assert overridden.person == 1 and not overridden.pixels.bgr and overridden.operating_point == 0.5
 
 
 def test_a_loop_without_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

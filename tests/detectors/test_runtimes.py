@@ -205,11 +205,11 @@ def test_files_that_openvino_does_not_run(tmp_path: Path) -> None:
     ],
 )
 def test_what_integers_of_an_input_stand_for(dtype, quantization, pixels) -> None:
-    given = {"dtype": dtype, "quantization": quantization}
-    assert runtimes._pixels(given) == pixels
+    details = {"dtype": dtype, "quantization": quantization}
+    assert runtimes._pixels(details) == pixels
     if pixels is not None:
         picture = torch.linspace(0, 1, 256).view(1, 1, 256).expand(1, 3, 1, 256)
-        integers = runtimes._quantised(pixels.apply(picture).numpy(), given).astype(int)
+        integers = runtimes._quantised(pixels.apply(picture).numpy(), details).astype(int)
         bounds = np.iinfo(dtype)
         assert np.abs(integers[0, 0, 0] - np.arange(bounds.min, bounds.max + 1)).max() <= 1
 

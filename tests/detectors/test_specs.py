@@ -155,10 +155,10 @@ def test_a_spec_says_which_class_it_looks_for(suffix: str, spec: str) -> None:
     """So that a run's record loads the same detector again."""
     with pytest.raises(InputError, match=r"no class 'person' among its 2 \(cat, tall pedestrian\)"):
         load_detector(spec + suffix)
-    told = load_detector(spec + suffix, person_class="Tall Pedestrian")
-    again = load_detector(told.spec)
-    assert again.spec == told.spec and again.person == told.person == 1
-    assert torch.equal(again(images()).scores, told(images()).scores)
+    first = load_detector(spec + suffix, person_class="Tall Pedestrian")
+    again = load_detector(first.spec)
+    assert again.spec == first.spec and again.person == first.person == 1
+    assert torch.equal(again(images()).scores, first(images()).scores)
     assert load_detector(spec + suffix, person_class="0").person == 0
 
 

@@ -236,8 +236,8 @@ def test_it_reaches_no_network_and_leaves_the_process_as_it_was(tmp_path: Path) 
         [sys.executable, "-c", ALONE, *wanted], capture_output=True, text=True, env=environment, cwd=tmp_path
     )
     assert run.returncode == 0, run.stderr
-    said = json.loads(run.stdout)  # and not a word beside it
-    assert said["online"] is False and Path(said["settings"]).is_relative_to(tmp_path / "cache")
+    report = json.loads(run.stdout)  # and not a word beside it
+    assert report["online"] is False and Path(report["settings"]).is_relative_to(tmp_path / "cache")
     assert "spoken" in run.stderr
     assert not [path for path in home.rglob("*") if "ltralytics" in path.name]
 

@@ -143,9 +143,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     bad = f"python:{tmp_path / 'bad.py'}:load"
     with pytest.raises(SystemExit) as end:
         main(["detectors", "verify", spec, bad, "--renders", "1"])
-    said = capsys.readouterr()
-    assert end.value.code == 1 and "failed: shapes" in said.err and bad in said.err and spec not in said.err
-    assert "FAILED" in said.out and "unchanged, bit by bit" in said.out
+    printed = capsys.readouterr()
+    assert end.value.code == 1 and "failed: shapes" in printed.err and bad in printed.err and spec not in printed.err
+    assert "FAILED" in printed.out and "unchanged, bit by bit" in printed.out
     for arguments, words in (("--images nowhere", "no such folder"), ("--renders 0", "some images are needed")):
         with pytest.raises(SystemExit) as end:
             main(["detectors", "verify", "builtin", *arguments.split()])

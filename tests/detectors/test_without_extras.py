@@ -76,9 +76,9 @@ def test_every_family_says_its_line(tmp_path: Path) -> None:
     commands += [["harden", spec, "--out", "NEW"] for spec in ("yolov5n.pt", "a.onnx", OTHERS[2], OTHERS[3])]
     commands += [["scene", "info", "anny:1"], ["film", "zoo:builtin-sample", "--out", "a.mp4"]]
     words = [sys.executable, "-c", ALONE, json.dumps(commands)]
-    said = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False).stderr
-    answers = said.split("code 2\n")
-    assert len(answers) == len(commands) + 1 and "Traceback" not in said, said
+    printed = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False).stderr
+    answers = printed.split("code 2\n")
+    assert len(answers) == len(commands) + 1 and "Traceback" not in printed, printed
     lacking = LACKING | {"anny:1": "anny", "a.mp4": "film"}
     for command, answer in zip(commands, answers, strict=False):
         assert answer.count("cloak: ") == 1, (command, answer)

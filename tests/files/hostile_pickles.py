@@ -242,24 +242,24 @@ def outcome(read: Callable[[Path], object], path: Path) -> str:
 def read_all(kind: str, count: int, seconds_each: float) -> dict[str, object]:
     """Read so many hostile files. AssertionError: one took too long, or ended in anything but values or InputError."""
     read = {"torch": read_torch_pickle, "arrays": read_pickled_arrays}[kind]
-    path, told = Path("hostile.bin"), {"files": 0, "read": 0, "refused": 0, "slowest_s": 0.0}
+    path, counts = Path("hostile.bin"), {"files": 0, "read": 0, "refused": 0, "slowest_s": 0.0}
     files = archives() | pickles() if kind == "torch" else pickles()
 
     def attempt(content: bytes) -> None:
-        if told["files"] == count:
+        if counts["files"] == count:
             return
         path.write_bytes(content)
-        start, told["files"] = time.perf_counter(), told["files"] + 1
-        told[outcome(read, path)] += 1
+        start, counts["files"] = time.perf_counter(), counts["files"] + 1
+        counts[outcome(read, path)] += 1
         seconds = time.perf_counter() - start
-        told["slowest_s"] = max(told["slowest_s"], round(seconds, 3))
+        counts["slowest_s"] = max(counts["slowest_s"], round(seconds, 3))
         assert seconds <= seconds_each, f"{seconds:.1f} s"
 
     # Hypothesis keeps what it drew until the end of a test.
     for batch in range(-(-count // BATCH)):
         given_files = given(files)(attempt)
         seed(batch)(settings(SETTINGS)(given_files))()
-    return told
+    return counts
 
 
 if __name__ == "__main__":

@@ -29,10 +29,10 @@ def test_two_thousand_hostile_files_in_two_gigabytes(kind: str, tmp_path: Path) 
         command, cwd=tmp_path, env={"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    told = json.loads(done.stdout)
-    assert told["files"] == 2000 and told["read"] > 10 and told["refused"] > 1000, told
+    counts = json.loads(done.stdout)
+    assert counts["files"] == 2000 and counts["read"] > 10 and counts["refused"] > 1000, counts
     named = {"arrays": "SMPL's pickles", "torch": "torch's archives"}[kind]
-    figures = f"{told['read']} read, {told['refused']} refused, 0 crashed; the slowest {told['slowest_s']} s"
+    figures = f"{counts['read']} read, {counts['refused']} refused, 0 crashed; the slowest {counts['slowest_s']} s"
     record("Files from strangers", f"hostile {named} by structure, each in a process of 2 GiB: 2,000", figures)
 
 

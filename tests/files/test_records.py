@@ -78,9 +78,9 @@ SOUND = {"n": 3, "rates": {"builtin": {"success": None, "box": [1, 2.5]}}, "more
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_named_with_its_place(changes: dict, words: str) -> None:
-    with pytest.raises(InputError) as said:
+    with pytest.raises(InputError) as caught:
         check_shape(SOUND | changes, SHAPE, "a.json")
-    assert words.split(": ", 1)[-1] in str(said.value) and str(said.value).startswith("a.json")
+    assert words.split(": ", 1)[-1] in str(caught.value) and str(caught.value).startswith("a.json")
 
 
 @pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])

@@ -84,9 +84,9 @@ def test_a_real_file(shared, name: str) -> None:
             expected = detector.decode(session(image), detector.input_size)
             torch.testing.assert_close(found.boxes[i : i + 1], expected.boxes, atol=0.05, rtol=0)
             torch.testing.assert_close(found.classes[i : i + 1], expected.classes, atol=1e-4, rtol=0)
-    said = json.loads(path.with_suffix(".json").read_text())["verified"]["photos"]["person.jpg"]["float"]
+    described = json.loads(path.with_suffix(".json").read_text())["verified"]["photos"]["person.jpg"]["float"]
     # Another resampling than the one that the file was described with.
-    assert check_image(detector, photos / "person.jpg")["max_person"] == pytest.approx(said, abs=0.05)
+    assert check_image(detector, photos / "person.jpg")["max_person"] == pytest.approx(described, abs=0.05)
 
 
 STRIDES, ANCHORS = (8, 16, 32), 3

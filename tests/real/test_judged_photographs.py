@@ -90,12 +90,12 @@ def test_stand_ins_are_judged_as_what_they_are(shared: Path, tmp_path: Path) -> 
     pytest.importorskip("onnx2torch")
     folder = make_stand_ins(tmp_path / "stand-ins", shared)
     spec = f"onnx:{shared / 'data/detectors/nanodet_m.onnx'}@conf=0.4"
-    told = judge(folder, {spec: load_detector(spec)}, JudgeSettings(every=2), out=tmp_path / "report")
-    assert told["people"] == 2 and told["scenes"] == 3
-    assert told["pictures"] == 16 + 2 * 2 + 3 and len(told["skipped"]) == 1
+    report = judge(folder, {spec: load_detector(spec)}, JudgeSettings(every=2), out=tmp_path / "report")
+    assert report["people"] == 2 and report["scenes"] == 3
+    assert report["pictures"] == 16 + 2 * 2 + 3 and len(report["skipped"]) == 1
     # Clothed people are found, lying files and bystanders or not; the cloak was trained against this detector.
-    assert told["without"]["detected_own"] >= 0.8
-    assert told["with"]["detected"] < 0.5 * told["without"]["detected"]
-    assert told["with"]["success"] <= told["with"]["conditional"]
-    assert told["detectors"][spec]["false_alarms"] == 0
-    assert set(told["detectors"][spec]["by_distance"]) == {"2.2", "3.5"}
+    assert report["without"]["detected_own"] >= 0.8
+    assert report["with"]["detected"] < 0.5 * report["without"]["detected"]
+    assert report["with"]["success"] <= report["with"]["conditional"]
+    assert report["detectors"][spec]["false_alarms"] == 0
+    assert set(report["detectors"][spec]["by_distance"]) == {"2.2", "3.5"}

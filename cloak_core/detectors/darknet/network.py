@@ -264,11 +264,11 @@ def _strides(section: Section) -> tuple[int, int]:
 
 def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:
     """Resolve absolute indices of the layers an option names; negative numbers count back from the layer itself."""
-    given = section.listed(key, int)
-    if not given:
+    numbers = section.listed(key, int)
+    if not numbers:
         raise section.error(f"lacks {key}=")
-    absolute = [index if index >= 0 else len(shapes) + index for index in given]
-    for index, text in zip(absolute, given, strict=True):
+    absolute = [index if index >= 0 else len(shapes) + index for index in numbers]
+    for index, text in zip(absolute, numbers, strict=True):
         if not 0 <= index < len(shapes):
             raise section.error(f"{key}={text}: there is no such layer before this one (layer {len(shapes)})")
     return absolute

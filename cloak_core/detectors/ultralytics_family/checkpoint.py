@@ -79,8 +79,8 @@ def _understood(content: object, path: Path, digest: str) -> Checkpoint:
     original = _original(model, architecture, path)
     modules = _modules(model, path)
     state = _state(modules, path)
-    said = content.get("train_args") if isinstance(content, dict) else None
-    size = said.get("imgsz") if isinstance(said, dict) else None
+    arguments = content.get("train_args") if isinstance(content, dict) else None
+    size = arguments.get("imgsz") if isinstance(arguments, dict) else None
     sides = size if isinstance(size, list | tuple) else [size]
     is_size = 1 <= len(sides) <= 2 and all(isinstance(side, int) and side > 0 for side in sides)
     anchors, strides = None, ()

@@ -107,18 +107,18 @@ def shapes(subject: Subject) -> Finding:
 @torch.no_grad()
 def ranges(subject: Subject) -> Finding:
     """Check that every probability lies in [0, 1], and that classes have names."""
-    found, said, passed = subject.detector(subject.few), [], True
+    found, ranges, passed = subject.detector(subject.few), [], True
     for name in ("scores", "objectness", "other"):
         values = getattr(found, name)
         if values is not None and values.numel():
             low, high = float(values.min()), float(values.max())
             passed &= low >= -ROUNDING and high <= 1 + ROUNDING
-            said.append(f"{name} from {low:.3g} to {high:.3g}")
+            ranges.append(f"{name} from {low:.3g} to {high:.3g}")
     if found.other_class is not None and found.other_class.numel():
         names, most = subject.detector.class_names, int(found.other_class.max())
         passed &= int(found.other_class.min()) >= 0 and (names is None or most < len(names))
-        said.append(f"other classes up to {most}{'' if names is None else f' of {len(names)}'}")
-    return Finding(passed, ", ".join(said) or "no boxes at all")
+        ranges.append(f"other classes up to {most}{'' if names is None else f' of {len(names)}'}")
+    return Finding(passed, ", ".join(ranges) or "no boxes at all")
 
 
 @torch.no_grad()

@@ -15,11 +15,11 @@ ENDS = ("heel", "toe", "hand")
 
 
 def landmarks(
-    posed: Posed, moved: Mapping[str, object] | None = None, depth: bool = False, hidden: str = ""
+    posed: Posed, moved: Mapping[str, object] | None = None, depth: bool = False, unseen: str = ""
 ) -> Landmarks:
     """Landmarks of a made person; heels, toes and fingers are seen where they were moved (x and y down, and depth)."""
     at = landmarks_of(posed, RIG)
-    visibility = np.array([0.0 if name.endswith(ENDS) or name in hidden.split() else 1.0 for name in INDEX])
+    visibility = np.array([0.0 if name.endswith(ENDS) or name in unseen.split() else 1.0 for name in INDEX])
     for name, place in (moved or {}).items():
         at[INDEX[name], : len(place)], visibility[INDEX[name]] = place, 1.0
     return Landmarks(at[:, :2], at[:, 2] if depth else None, visibility)
@@ -75,7 +75,7 @@ def test_without_depth_the_nose_tells_which_way_somebody_turns(azimuth: int) -> 
 
 def test_arms_out_of_sight_hang_behind_and_those_that_cross_the_trunk_lie_before_it() -> None:
     true = standing()
-    found = pose_to(landmarks(true, hidden="l_elbow l_wrist"), RIG)
+    found = pose_to(landmarks(true, unseen="l_elbow l_wrist"), RIG)
     shoulder, elbow, wrist = (
         joint(found, f"l_{name}", segment)
         for name, segment in (("shoulder", "chest"), ("elbow", "l_arm"), ("wrist", "l_forearm"))

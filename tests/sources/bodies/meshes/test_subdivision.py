@@ -51,9 +51,9 @@ def test_texture_coordinates_follow_across_a_seam() -> None:
     # The map from a face's surface to its square is linear: check it at every corner of every small triangle.
     for face, loop in enumerate(CUBE_FACES):
         origin, u, v = CUBE[loop[0]], CUBE[loop[1]] - CUBE[loop[0]], CUBE[loop[3]] - CUBE[loop[0]]
-        mine = parent[divided.triangle_face] == face
-        local = divided.vertices[0][divided.triangles[mine]] - origin
-        assert np.allclose(divided.uv[divided.triangle_uv[mine]], np.stack([local @ u, local @ v], axis=-1))
+        of_face = parent[divided.triangle_face] == face
+        local = divided.vertices[0][divided.triangles[of_face]] - origin
+        assert np.allclose(divided.uv[divided.triangle_uv[of_face]], np.stack([local @ u, local @ v], axis=-1))
 
 
 @given(columns=st.integers(3, 7), rows=st.integers(1, 5), levels=st.integers(0, 3))
