@@ -140,7 +140,13 @@ def _kept(config: dict) -> dict:
     """Strip a run's configuration of folders and of what only resuming asks for."""
     kept = {key: value for key, value in config.items() if key not in ("environment", "held_out")}
     kept["inputs"] = {key: without_folders(value) for key, value in config["inputs"].items()}
-    kept["detectors"] = [_unplaced(detector) for detector in config["detectors"]]
+    kept["detectors"] = []
+    for detector in config["detectors"]:
+        unplaced = detector | {"spec": without_folders(detector["spec"])}
+        source = detector.get("source")
+        if isinstance(source, dict) and isinstance(source.get("spec"), str):
+            unplaced["source"] = source | {"spec": without_folders(source["spec"])}
+        kept["detectors"].append(unplaced)
     pictures = config["backgrounds"]
     kept["backgrounds"] = {key: pictures[key] for key in ("count", "identities", "looks") if key in pictures}
     for part in ("backgrounds", "people"):
@@ -149,14 +155,6 @@ def _kept(config: dict) -> dict:
             # Without the small copies, which would ship somebody's photographs: of backgrounds and of people.
             kept[part] = material | {"looks": [str(look).partition(".")[0] for look in material["looks"]]}
     return kept
-
-
-def _unplaced(detector: dict) -> dict:
-    found = detector | {"spec": without_folders(detector["spec"])}
-    source = detector.get("source")
-    if isinstance(source, dict) and isinstance(source.get("spec"), str):
-        found["source"] = source | {"spec": without_folders(source["spec"])}
-    return found
 
 
 def _judged(summary: dict, *keys: str) -> dict:

@@ -59,7 +59,11 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
     moments = np.rint(np.linspace(scene.frame_start, scene.frame_end, max(frames, 1))).astype(int)
     poses = []
     first = None
-    ahead = first_simulated(objects)
+    # How something lies may follow from the frames before: where anything is simulated, every frame is played.
+    modifiers = [modifier for obj in objects for modifier in obj.modifiers]
+    starts = [m.point_cache.frame_start for m in modifiers if m.type in ("CLOTH", "SOFT_BODY")]
+    starts += [scene.frame_start for m in modifiers if m.type == "NODES"]
+    ahead = min(starts, default=None)
     for moment in moments.tolist():
         if ahead is not None:
             for frame in range(ahead, moment):
@@ -82,17 +86,6 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
             raise Refused(f"frame {moment} has another topology than frame {moments[0]}")
     pictures = {f"picture_{n}": pixels for n, pixels in enumerate(PICTURES.values())}
     return {"poses": np.stack(poses) * scene.unit_settings.scale_length, **first, **pictures}
-
-
-def first_simulated(objects: list[bpy.types.Object]) -> int | None:
-    """Find the frame from which on every frame must be played; None where nothing is simulated.
-
-    How something lies may follow from the frames before.
-    """
-    modifiers = [modifier for obj in objects for modifier in obj.modifiers]
-    starts = [m.point_cache.frame_start for m in modifiers if m.type in ("CLOTH", "SOFT_BODY")]
-    starts += [bpy.context.scene.frame_start for m in modifiers if m.type == "NODES"]
-    return min(starts, default=None)
 
 
 def mesh_arrays(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> dict[str, np.ndarray]:
