@@ -16,6 +16,7 @@ import torch
 
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
+from tests.detectors.helpers import images
 
 CODE = """
 import os, random, signal, sys, tempfile, warnings
@@ -130,10 +131,6 @@ def written(folder: Path, **parts: str) -> str:
     return "python:mine.py:load"
 
 
-def images() -> torch.Tensor:
-    return torch.rand(2, 3, 16, 12, generator=torch.Generator().manual_seed(0), requires_grad=True)
-
-
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
@@ -148,7 +145,7 @@ def test_what_it_changes_is_set_back(change: str, where: str, here: Path) -> Non
     try:
         detector = load_detector(written(here, **{where: CHANGES[change]}))
         assert process() == before
-        detector(images()).scores.sum().backward()
+        detector(images(2, 16, 12).requires_grad_()).scores.sum().backward()
     except InputError as error:  # it cannot be a detector with that
         assert "mine.py" in str(error) and (where == "CALL" or change in ("default device", "inference mode")), error
     assert process() == before
@@ -166,7 +163,7 @@ def test_seeds_of_others_go_on(here: Path) -> None:
     seeded = []
     for where in ("IMPORT", "CALL"):
         torch.manual_seed(1), np.random.seed(1), random.seed(1)
-        load_detector(written(here, **{where: CHANGES["seeds"]}))(images())
+        load_detector(written(here, **{where: CHANGES["seeds"]}))(images(2, 16, 12).requires_grad_())
         seeded.append((torch.rand(1).item(), np.random.random(), random.random()))
     torch.manual_seed(7), np.random.seed(7), random.seed(7)
     assert (torch.rand(1).item(), np.random.random(), random.random()) not in seeded
@@ -175,7 +172,7 @@ def test_seeds_of_others_go_on(here: Path) -> None:
 @pytest.mark.parametrize("answer", WORKS)
 def test_answers_that_are_taken(answer: str, here: Path) -> None:
     before = process()
-    found = load_detector(written(here, CALL=WORKS[answer]))(images())
+    found = load_detector(written(here, CALL=WORKS[answer]))(images(2, 16, 12).requires_grad_())
     assert len(found.scores) == 2 and bool(found.boxes.isfinite().all()) and process() == before
 
 
@@ -183,7 +180,7 @@ def test_answers_that_are_taken(answer: str, here: Path) -> None:
 def test_answers_that_are_refused(answer: str, here: Path) -> None:
     before = process()
     detector = load_detector(written(here, CALL=REFUSED[answer]))
-    state = images()
+    state = images(2, 16, 12).requires_grad_()
     with pytest.raises(InputError) as caught:
         for _ in range(2):
             detector(state)
@@ -211,7 +208,7 @@ def test_code_that_never_returns_is_ended(where: str, wait: str, here: Path, mon
     monkeypatch.setenv("CLOAK_DETECTOR_SECONDS", "0.3")
     before = signal.getsignal(signal.SIGALRM)
     with pytest.raises(InputError, match=rf"mine\.py:load: .*mine\.py:{line}: no answer in 0\.3 s"):
-        load_detector(spec)(images())
+        load_detector(spec)(images(2, 16, 12).requires_grad_())
     assert signal.getsignal(signal.SIGALRM) is before and signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 

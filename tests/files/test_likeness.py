@@ -51,20 +51,6 @@ def test_copies_of_a_picture_are_found_and_no_other(how: str) -> None:
     assert pairs == [(i, i) for i in range(8)]
 
 
-@pytest.mark.slow
-def test_photographs_are_found_again_and_not_alike(shared: Path) -> None:
-    looks, copies = [], []
-    for path in sorted((shared / "data" / "backgrounds").glob("*.jpg")):
-        with Image.open(path) as picture:
-            picture = picture.convert("RGB").reduce(2)
-        looks.append(picture_look(np.asarray(picture)))
-        small = jpeg(trimmed(picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT), 0.01).resize((416, 416)), 75)
-        copies.append(picture_look(np.asarray(small)))
-    assert len(looks) > 50
-    same = [(i, i) for i in range(len(looks))]
-    assert similar_looks(looks, looks) == same and similar_looks(looks, copies) == same
-
-
 def turn(axis: tuple[float, float, float], angle: float) -> np.ndarray:
     """Rotation matrix (Rodrigues)."""
     x, y, z = np.array(axis) / np.linalg.norm(axis)
@@ -116,21 +102,23 @@ def test_a_pose_that_was_changed_a_little_is_found(change: Callable, part: str) 
 
 
 @pytest.mark.slow
-def test_parts_of_photographs_are_found_again(shared: Path) -> None:
+def test_photographs_and_parts_of_them_are_found_again_and_are_not_alike(shared: Path) -> None:
     random = np.random.default_rng(0)
-    looks, parts = [], []
+    looks, copies, parts = [], [], []
     for path in sorted((shared / "data" / "backgrounds").glob("*.jpg")):
         with Image.open(path) as picture:
             picture = picture.convert("RGB").reduce(2)
         size = random.uniform(0.72, 0.97)
         width, height = round(size * picture.width), round(size * picture.height)
         x, y = random.integers(picture.width - width + 1), random.integers(picture.height - height + 1)
+        mirrored = trimmed(picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT), 0.01).resize((416, 416))
+        for part, of_all in ((mirrored, copies), (picture.crop((x, y, x + width, y + height)), parts)):
+            of_all.append(picture_look(np.asarray(jpeg(part, 75))))
         looks.append(picture_look(np.asarray(picture)))
-        parts.append(picture_look(np.asarray(jpeg(picture.crop((x, y, x + width, y + height)), 75))))
-    same = {(i, i) for i in range(len(looks))}
-    found, turned = set(similar_looks(looks, parts)), set(similar_looks(parts, looks))
-    assert len(looks) > 50 and same <= found and same <= turned
-    assert len(found - same) <= 2 and len(turned - same) <= 2  # of 2,756 pairs of different ones
+    same = [(i, i) for i in range(len(looks))]
+    assert len(looks) > 50 and similar_looks(looks, looks) == similar_looks(looks, copies) == same
+    for found in (set(similar_looks(looks, parts)), set(similar_looks(parts, looks))):
+        assert set(same) <= found and len(found - set(same)) <= 2  # of 2,756 pairs of different ones
 
 
 def test_looks_of_earlier_versions_are_compared_as_they_were() -> None:
