@@ -101,7 +101,7 @@ class Bench:
         self.logo = make_logo(bodies, logo_faces)
         self.pattern = pattern_of(settings.pattern, bodies, self.logo)
         source = make_source(Training(settings, bodies, self.logo, (), backgrounds, people))
-        self.is_fresh = source.is_fresh or (bool(people) and settings.photographs.people_share == 1)
+        self.is_fresh = source.is_fresh
         sampler = Sampler(settings, source, len(backgrounds))
         self.batcher = Batcher(settings, sampler, backgrounds, self.pattern, self.device)
         plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)

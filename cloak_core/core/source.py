@@ -97,9 +97,10 @@ class Mixture:
         self.seed = seed
         self.directions = first.directions
         self.members = first.members
-        self.is_fresh = first.is_fresh
-        # The CPU, where either needs it.
-        self.works_on = second.works_on if second.works_on.type == "cpu" else first.works_on
+        shown = second if rate == 1 else first
+        self.is_fresh = shown.is_fresh
+        # The CPU, where either that is shown needs it.
+        self.works_on = second.works_on if second.works_on.type == "cpu" else shown.works_on
 
     @property
     def identity(self) -> str:

@@ -96,6 +96,12 @@ def test_the_share_of_renders_is_kept():
     assert abs(shown.mean() - 0.25) < 0.06
 
 
+def test_a_mixture_is_as_fresh_as_what_it_shows():
+    alone, mixed = (people_sampler(2, people_share=share).source for share in (1, 0.5))
+    assert alone.is_fresh and not mixed.is_fresh
+    assert alone.works_on == alone.second.works_on
+
+
 def test_a_framing_keeps_most_of_the_person(crowd):
     fit = crowd.fits[0]
     for seed in range(50):
