@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -11,15 +12,21 @@ import pytest
 import torch
 from PIL import Image, ImageDraw
 
-from cloak_core import wear
+from cloak_core import evaluate, film, wear
 from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.evaluation.results import CORNERS
-from cloak_core.core.evaluation.settings import WearSettings
+from cloak_core.core.evaluation.settings import FilmSettings, WearSettings
 from cloak_core.core.linear import SparseMap
+from cloak_core.core.logo import Cover
 from cloak_core.files.errors import InputError
+from cloak_core.patterns.cloth import ClothPattern, Grid
+from cloak_core.sources.bodies.people.clothed import clothed_bodies
+from cloak_core.sources.bodies.people.samples import sample_bodies
+from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.fits import Fits, fit_people
-from cloak_core.sources.photographs.people import load_people
+from cloak_core.sources.photographs.people import People, load_people
+from cloak_core.sources.photographs.rig import faces_on_rig
 from cloak_core.sources.photographs.source import PeopleSource
 from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.opening import open_pattern
@@ -33,15 +40,23 @@ pytestmark = pytest.mark.slow
 SMALL = WearSettings(size=96, bare=2)
 
 
-class BodyDetector(RedDetector):
-    """One box over the middle of the image, the surer the less red it is there."""
+class Middle(RedDetector):
+    """One box over the middle of the image, with the score [B] that a function gives images."""
+
+    def __init__(self, score: Callable[[torch.Tensor], torch.Tensor]) -> None:
+        super().__init__()
+        self.score = score
 
     def forward(self, images: torch.Tensor) -> Detections:
-        side = images.shape[-1]
-        middle = images[..., side // 4 : side * 3 // 4, side * 2 // 5 : side * 3 // 5]
-        red = middle[:, 0].mean((1, 2)) - middle[:, 2].mean((1, 2))
-        box = torch.tensor([0.25 * side, 0.1 * side, 0.75 * side, 0.9 * side]).expand(len(images), 1, 4)
-        return Detections(box, torch.sigmoid(4 - 40 * red)[:, None])
+        box = torch.tensor([0.25, 0.1, 0.75, 0.9]).mul(images.shape[-1]).expand(len(images), 1, 4)
+        return Detections(box, self.score(images)[:, None])
+
+
+def less_red(images: torch.Tensor) -> torch.Tensor:
+    """The surer the less red it is in the middle."""
+    side = images.shape[-1]
+    middle = images[..., side // 4 : side * 3 // 4, side * 2 // 5 : side * 3 // 5]
+    return torch.sigmoid(4 - 40 * (middle[:, 0].mean((1, 2)) - middle[:, 2].mean((1, 2))))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +73,7 @@ def red(tmp_path_factory):
 
 def test_a_red_cloth_hides_and_controls_do_not(people, red, tmp_path):
     out = tmp_path / "out"
-    result = wear([f"{red}@tile=0.5"], people, {"body": BodyDetector()}, out=out, settings=SMALL)
+    result = wear([f"{red}@tile=0.5"], people, {"body": Middle(less_red)}, out=out, settings=SMALL)
     told = result["detectors"]["body"]
     assert told["red@tile=0.5"]["success"] == 1.0 and told["red@tile=0.5"]["n"] == 3
     assert {name: told[name]["success"] for name in ("clothing", "grey", "resampled")} == {
@@ -143,10 +158,10 @@ def test_a_width_is_chosen_on_those_who_do_not_judge(people, tmp_path):
     bars[:, :40, 2] = 255
     bars[:, 40:, 0] = 255
     Image.fromarray(bars).save(tmp_path / "bars.png")
-    spec, other = f"{tmp_path / 'bars.png'}@tile=auto", BodyDetector()
+    spec, other = f"{tmp_path / 'bars.png'}@tile=auto", Middle(less_red)
     other.spec = "other"
     judges, chosen_on = people.halves()
-    judged = partial(wear, [spec, "print:dots@tile=0.2"], judges, {"body": BodyDetector()}, settings=SMALL)
+    judged = partial(wear, [spec, "print:dots@tile=0.2"], judges, {"body": Middle(less_red)}, settings=SMALL)
     result = judged(width_people=chosen_on, width_detectors={"other": other}, out=tmp_path / "out")
     curve = result["widths"][spec]
     rates = {metres: s["success"] + s["success_own"] for metres, s in curve["detectors"]["other"].items()}
@@ -160,7 +175,7 @@ def test_a_width_is_chosen_on_those_who_do_not_judge(people, tmp_path):
         ("needs --width-people", None, {"other": other}),
         ("needs --width-detector", chosen_on, {}),
         (f"--width-people: {judges.photographs[0]} judges as well", people, {"other": other}),
-        ("--width-detector: again judges as well", chosen_on, {"other": other, "again": BodyDetector()}),
+        ("--width-detector: again judges as well", chosen_on, {"other": other, "again": Middle(less_red)}),
     ):
         with pytest.raises(InputError, match=words):
             judged(width_people=asked, width_detectors=detectors)
@@ -229,3 +244,82 @@ def test_the_sheet_counts_those_whom_it_does_not_show(tmp_path: Path, monkeypatc
         album.add("grey", person, Image.new("RGB", (8, 8)), nobody)
     album.write()
     assert any("hidden in 19 of 19 (19 people judged, 12 of them shown)" in words for words in said)
+
+
+# --- what a cloth covers is chosen where it is worn, and said
+
+HOOD, CLOTHES = "shirt+trousers+hood", "shirt+trousers"
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> People:
+    return load_people(write_people(tmp_path_factory.mktemp("two"), 2))
+
+
+@pytest.mark.parametrize("where", ["people", "bodies"])
+def test_evaluate_judges_a_cloth_where_it_is_told(two: People, tmp_path: Path, where: str) -> None:
+    run = entry("transfer-people").write_run(tmp_path / "run")
+    shown = {"people": two} if where == "people" else {"scene": "sample:unseen[0]", "angles": "0"}
+    judge = partial(
+        evaluate,
+        run,
+        detectors={"red": Middle(lambda images: images.mean((1, 2, 3)))},
+        controls=("grey",),
+        size=64,
+        shift=4,
+        bare=1,
+    )
+    judge = partial(judge, images_per_view=1, resamples=100, **shown)
+    said = [judge(), judge(logo=CLOTHES), judge(logo=HOOD)]
+    assert [one["cover"] for one in said] == [CLOTHES, CLOTHES, HOOD]
+    scores = [one["detectors"]["red"]["grey"]["mean_score"] for one in said]
+    assert scores[0] == scores[1] != scores[2]
+    folder = run / f"evaluation{'-people' * (where == 'people')}-{HOOD}"
+    validate("evaluate", (folder / "summary.json").read_text())
+
+
+def test_wear_and_film_say_what_is_covered(two: People, tmp_path: Path) -> None:
+    how = {"settings": WearSettings(size=64, bare=1), "out": tmp_path / "out", "logo": HOOD}
+    said = wear(["zoo:transfer-people", "print:balls@patch=0.3"], two, {"red": RedDetector()}, **how)
+    rows = said["detectors"]["red"]
+    assert json.loads((tmp_path / "out" / "wear.json").read_text())["cover"] == said["cover"] == HOOD
+    covers = {name: row["cover"] for name, row in rows.items()}
+    assert covers == dict.fromkeys(rows, HOOD) | {"print:balls@patch=0.3": "chest", "grey headwear": "headwear"}
+    plain = wear("zoo:transfer-people", two, {"red": RedDetector()}, settings=how["settings"])
+    assert plain["cover"] == plain["detectors"]["red"]["zoo:transfer-people"]["cover"] == CLOTHES
+    shown = {"detectors": {"red": RedDetector()}, "settings": FilmSettings(size=64, seconds=0.1)}
+    took = film("zoo:transfer-people", tmp_path / "film", "sample:unseen[0]", logo=HOOD, **shown)
+    assert took["cover"] == HOOD
+
+
+def test_who_shows_nothing_of_a_cloth_is_left_out_and_counted(two: People) -> None:
+    topology = sample_bodies().topology
+    first, second = (set(faces_on_rig(topology)[np.unique(fit.main)].tolist()) for fit in fit_people(two))
+    unseen = set(range(sample_bodies().face_count)) - first - second
+
+    def dressed(faces: set[int]) -> Crowd:
+        cover = Cover(np.array(sorted(faces)[:1]), topology, name="one face")
+        return Crowd(two).wearers([ClothPattern(cover, Grid.of(0.25, 0.01))])
+
+    shown = dressed(first - second)
+    assert len(shown) == len(shown.fits) == 1 and shown.people.left_out == {"nothing is covered": 1}
+    with pytest.raises(InputError, match="one face shows on nobody"):
+        dressed(unseen)
+
+
+UNCOVERED = {
+    "region 'hoodie' is unknown; scene 'samples' has: .*hood": {"logo": "shirt+hoodie"},
+    "colours of faces": {"logo": HOOD, "colors": "zoo:transfer-anny"},
+    "scene 'sample-clothed' has: .*scarf": {"logo": "beard", "scene": clothed_bodies},
+}
+
+
+@pytest.mark.parametrize("words", UNCOVERED)
+def test_what_cannot_be_covered_is_refused(two: People, words: str) -> None:
+    asked = {"colors": "zoo:transfer-people"} | UNCOVERED[words]
+    judges = {"red": RedDetector()}
+    with pytest.raises(InputError, match=words):
+        if scene := asked.pop("scene", None):
+            evaluate("zoo:builtin-clothed", scene("unseen"), detectors=judges, **asked)
+        else:
+            wear(people=two, detectors=judges, **asked)
