@@ -16,6 +16,8 @@ from torch import Tensor
 
 from cloak_core.core.settings.components import AugmentationSettings
 
+_CUTOUT, _WINDOW, _BLUR = 2, 3, 6
+"""Streams of random numbers."""
 BLOCK = 8
 _LUMINANCE = (
     (16, 11, 10, 16, 24, 40, 51, 61),
@@ -95,10 +97,6 @@ def through_jpeg(images: Float[Tensor, "B 3 H W"], quality: Float[Tensor, " B"])
     ycc = blocks.reshape(ycc.shape) + 128 * images.new_tensor([1.0, 0, 0]).view(3, 1, 1)
     rgb = torch.einsum("ck,bkhw->bchw", torch.linalg.inv(to_ycc), ycc) / 255
     return rgb[:, :, :height, :width].clamp(0, 1)
-
-
-_CUTOUT, _WINDOW, _BLUR = 2, 3, 6
-"""Streams of random numbers."""
 
 
 def cut_out(seeds: Int[np.ndarray, " B"], most: float, centres: Float[np.ndarray, "C D"]) -> Bool[np.ndarray, "B C"]:

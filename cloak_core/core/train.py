@@ -97,5 +97,7 @@ def _require_plain(job: Job, world: World) -> None:
     pattern, optimization = job.settings.pattern, job.settings.optimization
     is_plain = pattern.pattern == "free" and pattern.profile is None and optimization.octaves == 1
     if not is_plain or optimization.initial_share or job.coloring.is_restricted:
-        refused = "--colors-at-most, --pattern, --profile, --near, --octaves and --initial-share"
+        refused = (
+            "--colors-at-most, --pattern, --profile, --near, --octaves, --initial-share, or a --technique that projects"
+        )
         raise InputError(f"--black-box-queries: free colours alone, without {refused}")

@@ -86,6 +86,8 @@ def train(*more: str) -> int:
 
 @pytest.mark.slow
 def test_a_technique_acts_and_the_run_goes_on_with_it_alone(package: Path, capsys):
+    assert train("--technique", "grey:0.75", "--black-box-queries", "64") == 2
+    assert "a --technique that projects" in capsys.readouterr().err and not Path("run").exists()
     assert train("--technique", "grey:0.75", "--max-seconds", "1e-6") == 3
     (record,) = json.loads(Path("run/config.json").read_text())["techniques"]
     assert record | {"sha256": ""} == {"spec": "grey:0.75", "package": "made_elsewhere 1.5", "sha256": ""}

@@ -11,6 +11,9 @@ from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.files.errors import InputError
 
+FRAME = (255, 60, 60)
+"""Colour of the boxes that are drawn."""
+
 
 def max_person_score(detections: Detections) -> Float[Tensor, " B"]:
     """Find the best person score of each image, 0 where there are no boxes; differentiable, without a threshold."""
@@ -72,9 +75,6 @@ def row_max(values: Float[Tensor, "B N"]) -> Float[Tensor, " B"]:
 
 def _area(boxes: Tensor) -> Tensor:
     return (boxes[..., 2:] - boxes[..., :2]).clamp(min=0).prod(dim=-1)
-
-
-FRAME = (255, 60, 60)
 
 
 def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Image.Image:

@@ -95,6 +95,11 @@ def use_loops(device: torch.device) -> bool:
     return device.type == "cpu" and not _switched_off
 
 
+def backend(device: torch.device) -> ModuleType:
+    """Choose the stages for a device: loops on the CPU, torch's operations elsewhere."""
+    return importlib.import_module(f"{__package__}.{'cpu' if use_loops(device) else 'torch'}")
+
+
 def use_kernels(device: torch.device) -> bool:
     """Tell whether Triton kernels do work that loops do not: on CUDA where there is Triton, which comes with torch.
 
@@ -150,8 +155,3 @@ def torch_alone() -> Iterator[None]:
 def arrays(*tensors: torch.Tensor) -> list[np.ndarray]:
     """View the tensors' own memory as contiguous arrays, as loops want it."""
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
-
-
-def backend(device: torch.device) -> ModuleType:
-    """Choose the stages for a device: loops on the CPU, torch's operations elsewhere."""
-    return importlib.import_module(f"{__package__}.{'cpu' if use_loops(device) else 'torch'}")
