@@ -23,7 +23,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "train": "train:Train",
         "evaluate": "evaluate:Evaluate",
         "report": "evaluate:Report",
-        "setup": "setup:Setup",
+        "setup": "about:Setup",
         "remote": "remote:Remote",
         "zoo list": "zoo:List",
         "zoo show": "zoo:Show",

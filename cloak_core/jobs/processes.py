@@ -1,7 +1,8 @@
 """Jobs in processes of this machine, one for each core.
 
-A process is `python -m cloak_core.jobs.worker`: it imports nothing of the program that asks, which therefore may be any
-script. It has one thread; the jobs go to it, and what they return comes back, through pipes.
+A process is `python -m cloak_core.jobs.processes`: it imports nothing of the program that asks, which therefore may be
+any script. It has one thread and reads pickles of (work, arguments) from a pipe until that ends; for each it writes
+(result, error, seconds, defect) to another.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 
-from cloak_core.jobs.job import Job, Outcome
+from cloak_core.jobs.job import Job, Outcome, done
 
 RETRIES = 3
 """Of a job whose process died."""
@@ -102,8 +103,41 @@ class _Worker(threading.Thread):
 
 def _started() -> subprocess.Popen:
     own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))} | dict.fromkeys(THREADS, "1")
-    command = [sys.executable, "-m", "cloak_core.jobs.worker"]
+    command = [sys.executable, "-m", "cloak_core.jobs.processes"]
     # A session of its own: Ctrl-C reaches whoever asks, and that ends the process.
     return subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=os.environ | own, start_new_session=True
     )
+
+
+def serve() -> None:
+    """Do jobs until standard input ends. Only the process that started this one writes there."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a job prints is no answer
+    while True:
+        try:
+            work, arguments = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        defect = None
+        try:
+            outcome = done(Job("", work, arguments))
+            answer = (outcome.result, outcome.error, outcome.seconds)
+        except Exception as error:
+            answer = (None, "", 0.0)
+            defect = _pickled(error)
+        pickle.dump((*answer, defect), answers)
+        answers.flush()
+
+
+def _pickled(error: Exception) -> Exception:
+    """The error itself, where another process can read it, or its words."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
+
+
+if __name__ == "__main__":
+    serve()

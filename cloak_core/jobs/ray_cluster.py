@@ -3,6 +3,10 @@
 Ray places, retries and streams back; nothing of that is ours. All machines have Cloak installed and see the folders
 that the jobs name, and the working folder, by the same names (a shared disk). A job whose machine goes away is begun
 again elsewhere, from what it left in its folder.
+
+A cluster that was started here ends with its process, however that ends: `python -m cloak_core.jobs.ray_cluster
+SESSION` waits until its standard input ends, gives Ray time to end by itself, and then ends the processes of this
+session (Ray's own agents outlive a killed driver). Linux alone: elsewhere nothing is looked for.
 """
 
 from __future__ import annotations
@@ -11,13 +15,18 @@ import contextlib
 import importlib.util
 import itertools
 import os
+import signal
 import socket
+import subprocess
+import sys
+import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from types import ModuleType
 
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_bytes
 from cloak_core.jobs.job import Job, Outcome, done
-from cloak_core.jobs.ray_keeper import kept
 
 LOCAL = "local"
 RETRIES = 5
@@ -27,6 +36,9 @@ AHEAD = 1000
 CONNECT_SECONDS = 10
 ORDERLY_SECONDS = 120
 """What jobs may take that were asked to stop."""
+GRACE_SECONDS = 5.0
+CLOSE_SECONDS = 30.0
+"""What the keeper may take to end after the cluster was shut down in order."""
 
 
 class RayCluster:
@@ -119,3 +131,49 @@ def _stop(ray: ModuleType, references: list) -> None:
         ray.cancel(reference, force=False)
     if references:
         ray.wait(references, num_returns=len(references), timeout=ORDERLY_SECONDS)
+
+
+@contextlib.contextmanager
+def kept(session: str) -> Iterator[None]:
+    """Run a block whose process owns the Ray session of this name, which ends with the process, however it ends."""
+    command = [sys.executable, "-m", "cloak_core.jobs.ray_cluster", session]
+    keeper = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
+    try:
+        yield
+    finally:
+        keeper.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            keeper.wait(CLOSE_SECONDS)
+
+
+def processes_of(session: str) -> list[int]:
+    """Find the processes of a Ray session, but for this one.
+
+    Their command lines name it, or they are Ray's by their title and have its logs open.
+    """
+    processes = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError, InputError):  # ended meanwhile, or somebody else's
+            words = read_bytes(folder / "cmdline").split(b"\0")
+            named = any(session.encode() in word for word in words)
+            titled = words[0].startswith(b"ray::") and any(session in os.readlink(f) for f in (folder / "fd").iterdir())
+            if (named or titled) and b"cloak_core.jobs.ray_cluster" not in words:
+                processes.append(int(folder.name))
+    return processes
+
+
+def wait_and_end(session: str) -> None:
+    """Wait for the end of standard input, then for Ray's own end, then end what is left."""
+    sys.stdin.buffer.read()
+    until = time.monotonic() + GRACE_SECONDS
+    while processes_of(session) and time.monotonic() < until:
+        time.sleep(0.2)
+    for process in processes_of(session):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(process, signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    # The end of a session of jobs is not the end of its keeper.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    wait_and_end(sys.argv[1])

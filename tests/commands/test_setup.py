@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cloak_core.cli import main
-from cloak_core.commands import setup
+from cloak_core.commands import about
 from cloak_core.files.errors import InputError
 
 
@@ -37,29 +37,29 @@ def offline(monkeypatch) -> None:
     monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)
     for name in ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "PIP_FIND_LINKS"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(setup, "GIGABYTES", 0.0)
+    monkeypatch.setattr(about, "GIGABYTES", 0.0)
 
 
 @pytest.mark.slow
 def test_an_environment_with_a_program_is_made(offline, tmp_path):
     place = tmp_path / "trainer"
-    result = setup.Setup(into=place, source=str(make_wheel(tmp_path))).run()
+    result = about.Setup(into=place, source=str(make_wheel(tmp_path))).run()
     assert subprocess.check_output([result["program"]], text=True, env={}) == "hello\n"
     with pytest.raises(InputError, match="exists already"):
-        setup.Setup(into=place, source=str(make_wheel(tmp_path))).run()
+        about.Setup(into=place, source=str(make_wheel(tmp_path))).run()
 
 
 @pytest.mark.long
 def test_what_fails_leaves_nothing_and_is_named(offline, tmp_path, monkeypatch):
     place, wheel = tmp_path / "trainer", make_wheel(tmp_path, "no-such-thing")
     with pytest.raises(InputError, match="the package index has no suitable no-such-thing"):
-        setup.Setup(into=place, source=str(wheel)).run()
+        about.Setup(into=place, source=str(wheel)).run()
     assert not place.exists()
     monkeypatch.delenv("PIP_NO_INDEX")
     monkeypatch.setenv("PIP_RETRIES", "1")
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
     with pytest.raises(InputError, match="the package index cannot be reached"):
-        setup.Setup(into=place, source=str(wheel)).run()
+        about.Setup(into=place, source=str(wheel)).run()
     assert not place.exists()
 
 
@@ -71,12 +71,12 @@ def test_bad_sources_and_too_little_room_are_said_before_anything_is_written(tmp
         (str(tmp_path / "none.whl"), "no such file"),
     ):
         with pytest.raises(InputError, match=words):
-            setup.Setup(into=tmp_path / "trainer", source=source).run()
+            about.Setup(into=tmp_path / "trainer", source=source).run()
     with pytest.raises(InputError, match="/nowhere/at/all: No such file"):
-        setup.Setup(into=Path("/nowhere/at/all/trainer")).run()
-    monkeypatch.setattr(setup, "GIGABYTES", 1e9)
+        about.Setup(into=Path("/nowhere/at/all/trainer")).run()
+    monkeypatch.setattr(about, "GIGABYTES", 1e9)
     with pytest.raises(InputError, match=r"takes about 1000000000.0 GB, but .* GB are free there"):
-        setup.Setup(into=tmp_path / "trainer").run()
+        about.Setup(into=tmp_path / "trainer").run()
     assert not (tmp_path / "trainer").exists()
 
 

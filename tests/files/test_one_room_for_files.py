@@ -9,9 +9,8 @@ APART = (
     "bench",
     "core/pictures.py",
     "sources/bodies/blender/inside.py",
-    "jobs/ray_keeper.py",
+    "jobs/ray_cluster.py",
     "jobs/processes.py",
-    "jobs/worker.py",
     "commands/remote.py",
 )
 """The rooms for it, what measures, a script that runs in Blender, the process table, pipes between our own processes,

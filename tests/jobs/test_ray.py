@@ -20,8 +20,7 @@ from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import lock
 from cloak_core.jobs.job import Job
-from cloak_core.jobs.ray_cluster import RayCluster
-from cloak_core.jobs.ray_keeper import processes_of
+from cloak_core.jobs.ray_cluster import RayCluster, processes_of
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs import fits
 from cloak_core.sources.photographs.people import load_people

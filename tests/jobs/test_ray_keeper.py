@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from cloak_core.jobs import ray_keeper
-from cloak_core.jobs.ray_keeper import kept, processes_of
+from cloak_core.jobs import ray_cluster
+from cloak_core.jobs.ray_cluster import kept, processes_of
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="looks into /proc")
 
@@ -37,4 +37,4 @@ def test_agents_and_named_processes_end_with_their_owner(tmp_path: Path) -> None
         for process in (agent, server, reader, other):
             process.kill()
             process.wait()
-    assert ray_keeper.GRACE_SECONDS < ray_keeper.CLOSE_SECONDS
+    assert ray_cluster.GRACE_SECONDS < ray_cluster.CLOSE_SECONDS
