@@ -197,14 +197,6 @@ def test_the_success_is_a_mean_of_the_last_steps_and_no_word_is_a_number():
     assert events(START, {"type": "error", "message": "no memory"}, *steps(s1=1)).why == ""
 
 
-def test_a_job_without_a_log_of_events_says_how_long_it_has_been_at_work(tmp_path):
-    job = Job("Test", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "test").start()
-    job._begun -= 150
-    assert job.describe() == "Test, 3 min"
-    job.cancel()
-    assert job.describe() == "Test (stopping)" and job.wait(120).message == "Test stopped"
-
-
 def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_path):
     def say(text: str) -> list[str]:
         return [sys.executable, "-c", f"print({text!r})"]
@@ -217,8 +209,11 @@ def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_
     with pytest.raises(InputError, match="cannot be started"):
         Job("None", [["/nowhere/python"]], tmp_path, "none").start()
     job = Job("Long", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "long").start()
+    job._begun -= 150
+    assert job.describe() == "Long, 3 min", "without a log of events how long it has been at work"
     job.cancel()
-    assert job.wait(120).state == "stopped"
+    assert job.describe() == "Long (stopping)"
+    assert (job.wait(120).state, job.message) == ("stopped", "Long stopped")
 
 
 def test_jobs_wait_their_turn_and_say_so(tmp_path, stub):
