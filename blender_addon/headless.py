@@ -208,12 +208,12 @@ def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, program
     job = TrainingJob(command + (["--resume"] if options.resume else []), run, folder).start()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: job.cancel())
-    said, last = "", 0.0
+    last_line, last = "", 0.0
     while job.poll():
         line = ", ".join(filter(None, (job.describe(), job.progress.figures())))
-        if line != said and time.monotonic() - last >= PRINT_SECONDS:
+        if line != last_line and time.monotonic() - last >= PRINT_SECONDS:
             say(line)
-            said, last = line, time.monotonic()
+            last_line, last = line, time.monotonic()
         time.sleep(0.05)
     if job.state == "stopped":
         raise Stopped(job.message)

@@ -61,13 +61,13 @@ class Session:
 
         among: some objects, or None for all of the scene: where many changed, or `obj` itself did.
         """
-        found, changed = self._kept.get((find, obj.session_uid), (None, set()))
-        if found is None or obj in changed or len(changed) > FEW or not self.keeps:
-            found = find(obj, None)
+        value, changed = self._kept.get((find, obj.session_uid), (None, set()))
+        if value is None or obj in changed or len(changed) > FEW or not self.keeps:
+            value = find(obj, None)
         elif changed:
-            found = (found - changed) | find(obj, changed)
-        self._kept[find, obj.session_uid] = found, set()
-        return found
+            value = (value - changed) | find(obj, changed)
+        self._kept[find, obj.session_uid] = value, set()
+        return value
 
     def note_change(self, geometry: bool, changed: set | None = None) -> None:
         """Note that these objects changed, None for anything else; with `geometry` the shape of a mesh did."""

@@ -95,8 +95,8 @@ def __getattr__(name: str) -> object:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, attribute = _PLACES[name].partition(":")
-    found = globals()[name] = getattr(import_module(f"{__name__}.{module}"), attribute)
-    return found
+    attribute_value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), attribute)
+    return attribute_value
 
 
 def __dir__() -> list[str]:

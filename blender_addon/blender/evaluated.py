@@ -87,8 +87,8 @@ def modifiers_reason(obj: bpy.types.Object) -> str:
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     if len(evaluated.polygons) == len(obj.data.polygons):
         return ""
-    found = (evaluated.attributes.get(name) for name in logos)
-    return "" if any(a is not None and a.domain == "FACE" for a in found) else lost_reason(obj)
+    attributes = (evaluated.attributes.get(name) for name in logos)
+    return "" if any(a is not None and a.domain == "FACE" for a in attributes) else lost_reason(obj)
 
 
 def lost_reason(obj: bpy.types.Object) -> str:

@@ -43,8 +43,8 @@ def active_logo(obj: bpy.types.Object) -> str:
 
 def logo_mask(obj: bpy.types.Object, logo: str) -> np.ndarray:
     """Read the mask [F] of a logo, or of several joined by "+"; names that the object does not have are skipped."""
-    found = [read_faces(obj, name) for name in _parts(obj, logo) if name in logo_names(obj.data)]
-    return np.logical_or.reduce([np.zeros(arrays.face_count(obj), bool), *found])
+    masks = [read_faces(obj, name) for name in _parts(obj, logo) if name in logo_names(obj.data)]
+    return np.logical_or.reduce([np.zeros(arrays.face_count(obj), bool), *masks])
 
 
 def _parts(obj: bpy.types.Object, logo: str) -> list[str]:

@@ -88,13 +88,13 @@ def pieces_of(obj: bpy.types.Object, garments: list[Garment]) -> list[bpy.types.
     worn, own, pieces = session.kept(on_body, obj), below(obj, None), []
     for garment in garments:
         same_faces = lambda o, g=garment: o.type == "MESH" and face_count(o) == g.faces and topology(o) == g.topology
-        found = [o for o in worn if o not in pieces and same_faces(o)]
-        if not found:
+        alike = [o for o in worn if o not in pieces and same_faces(o)]
+        if not alike:
             raise InputError(
                 f"'{obj.name}' wears no '{garment.object}' with the faces of the export: bring it back, or undo its "
                 "change, or export and train again"
             )
-        pieces.append(min(found, key=lambda o: (o not in own, o.name != garment.object, o.name)))
+        pieces.append(min(alike, key=lambda o: (o not in own, o.name != garment.object, o.name)))
         require_object_mode(pieces[-1], f"Leave {{mode}} to see the colours on '{pieces[-1].name}'")
     return pieces
 

@@ -249,13 +249,13 @@ def face_sets(obj: bpy.types.Object) -> Items:
 
     They took the place of face maps, which Blender 4 no longer has.
     """
-    found: Items = []
+    items: Items = []
     with current_mesh(obj) as mesh:
         for name in [attribute.name for attribute in mesh.attributes if is_face_set(obj, attribute)]:
             title = TITLES.get(name, name)
             values = np.unique(_integers(mesh, name))[:MAX_SETS].tolist()
-            found += [(f"{value} {name}", f"{title} {value}", f"Faces whose '{name}' is {value}") for value in values]
-    return found
+            items += [(f"{value} {name}", f"{title} {value}", f"Faces whose '{name}' is {value}") for value in values]
+    return items
 
 
 class PickOperator(BodyOperator):

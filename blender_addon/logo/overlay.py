@@ -198,8 +198,8 @@ def worn_tint(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """`tint_triangles` of the body and of its clothing, in the body's space."""
     back, logo = np.array(obj.matrix_world.inverted_safe()), _active(obj)
     wearing = [(o, on_it) for o, on_it in worn_parts(obj, mask) if on_it.any()]
-    found = [arrays.to_world(tint_triangles(o, on_it, logo), back @ np.array(o.matrix_world)) for o, on_it in wearing]
-    return np.concatenate([np.zeros((0, 3)), *found])
+    tints = [arrays.to_world(tint_triangles(o, on_it, logo), back @ np.array(o.matrix_world)) for o, on_it in wearing]
+    return np.concatenate([np.zeros((0, 3)), *tints])
 
 
 def tint_triangles(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> np.ndarray:

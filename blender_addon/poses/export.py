@@ -100,9 +100,9 @@ def export_bodies(
                 show_progress(done / len(poses))
                 go(pose)
                 graph = context.evaluated_depsgraph_get()
-                found = [_evaluate(o, graph, o in wearing, part) for o, part in zip(objects, parts, strict=True)]
-                vertices.append(np.concatenate([points for points, _ in found]))
-                parts = [part for _, part in found]
+                evaluated = [_evaluate(o, graph, o in wearing, part) for o, part in zip(objects, parts, strict=True)]
+                vertices.append(np.concatenate([points for points, _ in evaluated]))
+                parts = [part for _, part in evaluated]
     body = [_filled_up(outfit, parts[0].face_count) for outfit in colors.own_outfits(obj)]
     worn = [_outfits(o, part, len(body)) for o, part in zip(clothing, parts[1:], strict=True)]
     outfits = np.stack([np.concatenate(together) for together in zip(body, *worn, strict=True)])
@@ -226,8 +226,8 @@ def read_export(folder: Path) -> Export:
     try:
         words = {key: str(record[key]) for key in ("object", "logo", "topology")}
         counts = {key: int(record[key]) for key in ("poses", "faces")}
-        found = record.get("garments", [])
-        worn = [(str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in found]
+        garments = record.get("garments", [])
+        worn = [(str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in garments]
         objects = [str(name) for name in record.get("objects", [])]
         return Export(folder, **words, **counts, objects=objects, garments=[Garment(*g) for g in worn])
     except (KeyError, TypeError, ValueError):

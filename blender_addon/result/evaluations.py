@@ -122,8 +122,8 @@ def read_judged(record: dict, names: Iterable[str] = ()) -> tuple[Judged, ...]:
         for name, measured in answer.get("by_angle", {}).items():
             azimuth, cloak, images = float(name), finite(measured.get("success")), int(measured.get("n") or 0)
             if cloak is not None and images:
-                found = measured.get("n_conditional")  # images in which the body was found in its own clothing
-                clothing = 1 - found / images if isinstance(found, int) else None
+                detected = measured.get("n_conditional")  # images in which the body was found in its own clothing
+                clothing = 1 - detected / images if isinstance(detected, int) else None
                 sectors.append(Sector(azimuth, cloak, clothing, images))
         detectors.append(Judged(spec, record.get("operating_points", {}).get(spec), rates, tuple(sectors)))
     return tuple(detectors)
@@ -224,10 +224,10 @@ def people_file(path: str) -> Path:
     if not path:
         raise InputError("People is empty: choose a people.json, or the folder of photographs that it lies in")
     chosen = Path(absolute(path))
-    found = [chosen] if chosen.is_file() else sorted(chosen.glob("*.json"), key=lambda p: (p.name != "people.json", p))
-    if not found:
+    files = [chosen] if chosen.is_file() else sorted(chosen.glob("*.json"), key=lambda p: (p.name != "people.json", p))
+    if not files:
         raise InputError(f"{chosen}: no people.json in it (people as COCO has them, with masks and landmarks)")
-    return found[0]
+    return files[0]
 
 
 @dataclass(frozen=True)
@@ -247,8 +247,8 @@ def last_worn(run: Path) -> Worn | None:
     try:
         record, folder = read_json(places[-1]), places[-1].parent
         left = sum(int(count) for count in (record.get("left_out") or {}).values())
-        found = [path for path in folder.rglob("pictures/*/*") if path.suffix.lower() in PICTURES]
-        pictures = sorted(found, key=lambda path: (path.parent, not path.stem.startswith("before"), path.name))
+        paths = [path for path in folder.rglob("pictures/*/*") if path.suffix.lower() in PICTURES]
+        pictures = sorted(paths, key=lambda path: (path.parent, not path.stem.startswith("before"), path.name))
         return Worn(folder, int(record["people"]), left, read_judged(record), tuple(pictures))
     except UNREADABLE:
         return None

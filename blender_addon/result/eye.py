@@ -133,8 +133,8 @@ class Eye:
             self.close()
             self._start(specs, context.scene.cloak.device)
         if (code := self._process.poll()) is not None:
-            said = last_words(self._folder / "look.log")
-            raise InputError(said or f"The detector's process ended (exit code {code})")
+            words = last_words(self._folder / "look.log")
+            raise InputError(words or f"The detector's process ended (exit code {code})")
         if self.object is None:
             raise InputError("The body that was looked at is gone")
         before = (self.seen, self.message)
@@ -188,10 +188,10 @@ class Eye:
     def _viewpoint(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
         if context.scene.cloak.judging.eye_from == "CAMERA":
             return of_camera(context.scene, obj)
-        found = [(main_region(area), area.spaces.active.region_3d) for _, area in areas("VIEW_3D")]
-        if not found:
+        views = [(main_region(area), area.spaces.active.region_3d) for _, area in areas("VIEW_3D")]
+        if not views:
             raise InputError("There is no 3D viewport to look from: choose From > Camera")
-        region, view = next((pair for pair in found if pair[0].as_pointer() == self.region), found[0])
+        region, view = next((pair for pair in views if pair[0].as_pointer() == self.region), views[0])
         return of_view(context.scene, region, view, obj)
 
     def _export(self, context: bpy.types.Context, obj: bpy.types.Object, run: Path | None) -> None:
@@ -295,12 +295,12 @@ def lines(watching: Eye, fits: bool) -> list[tuple[str, tuple[float, float, floa
     """Return the lines at the upper left and their colours. fits: the viewport shows the last picture."""
     if watching.message:
         return [("Detector's eye", WHITE), (watching.message, KINDS["clothing"][1])]
-    found = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
+    rows = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
     for spec, glances in watching.seen.glances.items() if watching.seen is not None and fits else ():
         point = next(iter(glances.values())).operating_point
-        found.append((f"{short(spec)} reports from {point:g}", WHITE))
-        found += [(f"    {KINDS[kind][0]}: {glance.describe()}", KINDS[kind][1]) for kind, glance in glances.items()]
-    return found
+        rows.append((f"{short(spec)} reports from {point:g}", WHITE))
+        rows += [(f"    {KINDS[kind][0]}: {glance.describe()}", KINDS[kind][1]) for kind, glance in glances.items()]
+    return rows
 
 
 def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:

@@ -66,10 +66,10 @@ class CLOAK_OT_render_check(CloakOperator, label="Render Check", trains=True):
         def ended(job: Job) -> str | None:
             if job.state != "done":
                 return None
-            found = render_check.verdicts(plan, specs, job.outputs[1:])
-            job.is_bad_news = not all(verdict.holds for verdict in found)
+            outcome = render_check.verdicts(plan, specs, job.outputs[1:])
+            job.is_bad_news = not all(verdict.holds for verdict in outcome)
             run_list.refresh(bpy.context)
-            return render_check.describe_all(found)
+            return render_check.describe_all(outcome)
 
         job = launch(Job("Render check", commands, folder, "check", ended))
         return f"Rendering {len(images)} images into {folder}" + waits(job)

@@ -36,9 +36,9 @@ MOST_KEYS = 120  # keyframes that a camera's way is told in
 
 def made(run: Path) -> list[Path]:
     """What was made from a run, the latest first."""
-    found = [path for name in MADE for path in side_folder(run).glob(f"{name}*") if path.suffix not in BESIDE]
-    found = [path for path in found if not path.name.endswith("scene")]
-    return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+    files = [path for name in MADE for path in side_folder(run).glob(f"{name}*") if path.suffix not in BESIDE]
+    files = [path for path in files if not path.name.endswith("scene")]
+    return sorted(files, key=lambda path: path.stat().st_mtime, reverse=True)
 
 
 def write_camera(context: bpy.types.Context, path: Path, pivot: np.ndarray) -> None:

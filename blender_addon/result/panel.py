@@ -130,16 +130,16 @@ class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", train
         self.layout.operator("cloak.evaluate", icon="VIEWZOOM")
         self.outcome(context, "Evaluation")
         state = run_list.selected(context)
-        found = state.evaluation if state is not None else None
-        if found is None:
+        evaluation = state.evaluation if state is not None else None
+        if evaluation is None:
             return
-        if found.outdated:
+        if evaluation.outdated:
             wrapped(self.layout, context, "The run has newer colours: evaluate again", icon="ERROR")
         job = session.job_of("Evaluation")
-        if job is None or found.describe() not in job.message:  # which stands above
-            wrapped(self.layout, context, found.describe().capitalize(), icon="INFO")
-        for judged in found.detectors:
-            show_rates(self.layout, judged, found.threshold)
+        if job is None or evaluation.describe() not in job.message:  # which stands above
+            wrapped(self.layout, context, evaluation.describe().capitalize(), icon="INFO")
+        for judged in evaluation.detectors:
+            show_rates(self.layout, judged, evaluation.threshold)
         self.layout.prop(judging, "ring", text="Ring around the Body")
 
 

@@ -119,20 +119,22 @@ class Verdict:
     @property
     def holds(self) -> bool:
         """Whether the cloak hides the body in every render, and the detector would have found it otherwise."""
-        found, control = self.found
-        return control > 0 and not found
+        detected, control = self.found
+        return control > 0 and not detected
 
     def describe(self) -> str:
         """In one line, the outcome first."""
-        count, (found, control) = len(self.scores) // 2, self.found
+        count, (detected, control) = len(self.scores) // 2, self.found
         if not control:
             outcome = "This says nothing: the detector does not find the body without the cloak either"
-        elif not found:
+        elif not detected:
             outcome = "The cloak holds"
         else:
-            outcome = "The cloak failed" if found == count else f"The cloak holds in {count - found} of {count} renders"
+            outcome = (
+                "The cloak failed" if detected == count else f"The cloak holds in {count - detected} of {count} renders"
+            )
         return (
-            f"{outcome}. Cycles: person detected in {found} of {count} renders with the cloak "
+            f"{outcome}. Cycles: person detected in {detected} of {count} renders with the cloak "
             f"(highest score {max(self.scores[:count]):.2f}, reported from {self.threshold:g}), in {control} without"
         )
 
@@ -140,15 +142,15 @@ class Verdict:
 def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> tuple[Verdict, ...]:
     """What each detector said about the images of `image_paths`; kept beside them for `last_verdicts`."""
     images = [path.name for path in image_paths(plan)]
-    found = {}
+    by_detector = {}
     try:
         for number, spec in enumerate(specs):
             records = [json.loads(text) for text in answers[number * len(images) :][: len(images)]]
             scores, points = zip(*((r["max_person"], r["operating_point"]) for r in records), strict=True)
-            found[spec] = {"scores": list(map(float, scores)), "threshold": float(points[0])}
+            by_detector[spec] = {"scores": list(map(float, scores)), "threshold": float(points[0])}
     except (ValueError, KeyError, TypeError):
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
-    write_json(plan.folder / VERDICT, {"detectors": found, "images": images})
+    write_json(plan.folder / VERDICT, {"detectors": by_detector, "images": images})
     return _read_verdicts(plan.folder / VERDICT)
 
 
@@ -164,21 +166,21 @@ def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
 def _read_verdicts(file: Path) -> tuple[Verdict, ...]:
     record = read_json(file)
     images = tuple(file.parent / Path(str(name)).name for name in record["images"])
-    found = []
+    rows = []
     for spec, answer in record["detectors"].items():
         scores = tuple(map(float, answer["scores"]))
-        found.append(Verdict(scores, images, spec, float(answer.get("threshold", THRESHOLD))))
-    return tuple(verdict for verdict in found if len(verdict.scores) > 1)
+        rows.append(Verdict(scores, images, spec, float(answer.get("threshold", THRESHOLD))))
+    return tuple(verdict for verdict in rows if len(verdict.scores) > 1)
 
 
-def describe_all(found: Sequence[Verdict]) -> str:
+def describe_all(judged: Sequence[Verdict]) -> str:
     """One line for several detectors: of the one that finds most, and in how many the cloak holds."""
-    worst = max(found, key=lambda verdict: (verdict.found[0], -verdict.found[1]))
-    if len(found) == 1:
+    worst = max(judged, key=lambda verdict: (verdict.found[0], -verdict.found[1]))
+    if len(judged) == 1:
         return worst.describe()
-    holding = sum(verdict.holds for verdict in found)
+    holding = sum(verdict.holds for verdict in judged)
     name = without_folders(worst.spec)
-    return f"Holds against {holding} of {len(found)} detectors. Worst, {name}: {worst.describe()}"
+    return f"Holds against {holding} of {len(judged)} detectors. Worst, {name}: {worst.describe()}"
 
 
 def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = SIZE, samples: int = SAMPLES) -> None:

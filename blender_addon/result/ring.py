@@ -38,14 +38,14 @@ def arcs(sectors: Sequence[Sector]) -> list[tuple[float, float, Sector]]:
     """Split the circle at half the distance between azimuths, at most `WIDEST` wide: first and last degree of each."""
     once = {sector.azimuth % 360: sector for sector in sectors}
     azimuths = sorted(once)
-    found = []
+    segments = []
     for last, azimuth, following in zip(azimuths[-1:] + azimuths, azimuths, azimuths[1:] + azimuths[:1], strict=False):
         before, after = (azimuth - last) % 360 or 360, (following - azimuth) % 360 or 360
         # An azimuth at an end of what was evaluated reaches as far outwards as inwards.
         nearest = min(before, after, WIDEST)
         low, high = (gap if gap <= WIDEST else nearest for gap in (before, after))
-        found.append((azimuth - low / 2, azimuth + high / 2, once[azimuth]))
-    return found
+        segments.append((azimuth - low / 2, azimuth + high / 2, once[azimuth]))
+    return segments
 
 
 def color_of(success: float) -> tuple[float, float, float]:
@@ -103,19 +103,19 @@ def ring_shape(sectors: tuple[Sector, ...]) -> Shape:
 
 def draw_ring() -> None:
     """Viewport callback, in the space of the scene."""
-    found = shown(bpy.context)
-    if found is not None:
-        place, extent = stand(found[0])
-        ring_shape(found[1].worst_sectors()).draw(Matrix.LocRotScale(place, None, Vector((extent,) * 3)))
+    ring = shown(bpy.context)
+    if ring is not None:
+        place, extent = stand(ring[0])
+        ring_shape(ring[1].worst_sectors()).draw(Matrix.LocRotScale(place, None, Vector((extent,) * 3)))
 
 
 def draw_words() -> None:
     """Viewport callback, in pixels: figures at the ring, and its legend."""
     context = bpy.context
-    found = shown(context)
-    if found is None:
+    ring = shown(context)
+    if ring is None:
         return
-    obj, evaluation = found
+    obj, evaluation = ring
     scale = size_of_words(context)
     place, extent = stand(obj)
     known = {sector.azimuth % 360: sector for sector in evaluation.worst_sectors()}

@@ -130,12 +130,12 @@ class Job:
             return "stopped", f"{self.label} stopped"
         if code == 0:
             return "done", f"{self.label} done"
-        said = last_words(self.log)
+        words = last_words(self.log)
         if code == 2:
-            return "failed", said or f"{self.label}: the trainer refused its input"
+            return "failed", words or f"{self.label}: the trainer refused its input"
         if code < 0:
             return "failed", f"{self.label}: the process was killed (signal {-code})"
-        return "failed", f"{self.label} failed (exit code {code}): {said or 'no message'}"
+        return "failed", f"{self.label} failed (exit code {code}): {words or 'no message'}"
 
     def _finish(self, state: str, message: str) -> None:
         self.state, self.message = state, message

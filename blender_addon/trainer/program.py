@@ -55,8 +55,8 @@ def find_program(chosen: str = "", wheel: str = "") -> str:
     chosen: a program, a Python that has cloak_core, or the folder of a checkout or an environment.
     """
     if not chosen:
-        found = (str(place) for place in known_places() if os.access(place, os.X_OK))
-        if program := next(found, ""):
+        programs = (str(place) for place in known_places() if os.access(place, os.X_OK))
+        if program := next(programs, ""):
             return program
         raise InputError(f"No trainer found. To train, run this in a terminal: {install_line(wheel)}")
     path = Path(os.path.expanduser(chosen))

@@ -128,10 +128,10 @@ def existing(path: str, label: str) -> str:
     """The absolute path of a file that is there; `InputError` names the field otherwise."""
     if not path:
         raise InputError(f"{label} is empty: choose a file")
-    found = absolute(path)
-    if not Path(found).is_file():
-        raise InputError(f"{label}: {found} does not exist")
-    return found
+    place = absolute(path)
+    if not Path(place).is_file():
+        raise InputError(f"{label}: {place} does not exist")
+    return place
 
 
 def trained_against(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
@@ -164,7 +164,7 @@ def add_file(settings: bpy.types.PropertyGroup, path: Path) -> CloakDetector:
         if not path.is_file():
             raise InputError(f"{weights}: its .cfg is not beside it; choose that")
     elif path.suffix.lower() == ".cfg":
-        weights = next((str(found) for found in sorted(path.parent.glob(f"{path.stem}*.weights"))), "")
+        weights = next((str(file) for file in sorted(path.parent.glob(f"{path.stem}*.weights"))), "")
     family_of(path)
     folder, added = blend_folder(), settings.detectors.add()
     added.file, added.weights = portable(str(path), folder), portable(weights, folder)
@@ -246,25 +246,25 @@ def _told(job: Job, spec: str) -> str | None:
         record = dict(json.loads(job.outputs[-1]))
     except (ValueError, TypeError, IndexError):
         record = {}
-    found = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
+    rows = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
     failed = [str(name) for name in record.get("failed", [])]
     point = finite(record.get("operating_point"))
     works = job.state == "done" and not failed
     job.is_bad_news = not works
     if job.state == "stopped" and not failed:  # nothing is known: it can be checked again
-        for detector in found:
+        for detector in rows:
             detector.checked = ""
         return None
     if failed:
         job.state = "done"
     answer = f"fails: {', '.join(failed)}" if failed else _describe(record, point) if works else job.message
-    for detector in found:
+    for detector in rows:
         detector.answer, detector.works = answer, works
         detector.gradients = not works or record.get("white_box") is not False
         if works and point and not detector.threshold:
             detector.threshold = point
     push_undo("Check Detector")
-    return f"{found[0].title} {answer}" if found else None
+    return f"{rows[0].title} {answer}" if rows else None
 
 
 def _describe(record: dict, point: float | None) -> str:

@@ -98,8 +98,8 @@ def read_state(run: Path) -> RunState:
 
 def _stamp(path: Path) -> tuple[int, int]:
     with contextlib.suppress(OSError):
-        found = path.stat()
-        return found.st_mtime_ns, found.st_size
+        status = path.stat()
+        return status.st_mtime_ns, status.st_size
     return 0, 0
 
 
@@ -123,8 +123,8 @@ def _read(run: Path) -> RunState:
     # It begins when its export is written; of a run of the command line, when its settings are.
     written = (folder / RECORD, run / "logo.npy", run / "config.json")
     begun = next((path.stat().st_mtime for path in written if path.is_file()), 0.0)
-    found = {"why": why, "begun": begun, "detectors": detectors, "evaluation": read_evaluation(run)}
-    return RunState(run, state, progress, **found, **names)
+    record = {"why": why, "begun": begun, "detectors": detectors, "evaluation": read_evaluation(run)}
+    return RunState(run, state, progress, **record, **names)
 
 
 class FoundTrainer:
@@ -154,8 +154,8 @@ def refresh(context: bpy.types.Context) -> bool:
         places.append(output_folder(context.scene.cloak))
     for place in filter(None, places):
         runs += find_runs(place)
-    found = sorted(map(read_state, dict.fromkeys(runs)), key=lambda state: state.begun, reverse=True)
-    fresh = {str(state.path): state for state in found}
+    states = sorted(map(read_state, dict.fromkeys(runs)), key=lambda state: state.begun, reverse=True)
+    fresh = {str(state.path): state for state in states}
     items = context.window_manager.cloak.runs
     if [item.path for item in items] != list(fresh):
         items.clear()

@@ -204,11 +204,11 @@ class LiveColors:
         if self._looked == session.mesh_changes:
             return None
         self._looked = session.mesh_changes
-        found = body_of(self._run, self._topology)
-        if found is not None:
-            self._use(found)
-            self.give(found)
-        return found
+        body_object = body_of(self._run, self._topology)
+        if body_object is not None:
+            self._use(body_object)
+            self.give(body_object)
+        return body_object
 
     def tick(self, job: Job) -> None:
         """Called by the timer of the job that trains."""

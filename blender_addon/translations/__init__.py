@@ -37,9 +37,9 @@ def translate(sentence: str, language: str) -> str:
     if sentence in words():
         return words()[sentence][language]
     for pattern, text in _patterns():
-        if found := pattern.fullmatch(sentence):
+        if match := pattern.fullmatch(sentence):
             quoted = [before.endswith("'") for before in text.split("{}")]  # names of the user's stay as they are
-            parts = [p if q else translate(p, language) for p, q in zip(found.groups(), quoted, strict=False)]
+            parts = [p if q else translate(p, language) for p, q in zip(match.groups(), quoted, strict=False)]
             return words()[text][language].format(*parts)
     return sentence
 

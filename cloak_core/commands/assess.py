@@ -87,7 +87,7 @@ class Assess(Splitting, Detecting, Sharing):
         more = {"files": [str(path) for path in pages]}
         if bounds:
             checked = {card["spec"]: check(card, bounds) for card in cards.values()}
-            more["broken"] = [words for said in checked.values() for words in said.values() if words]
+            more["broken"] = [words for problems in checked.values() for words in problems.values() if words]
             if self.junit is not None:
                 write_junit(self.junit, checked)
         if len(cards) == 1:

@@ -97,12 +97,12 @@ class Check(Photographed, Detecting):
                     "false alarms": "false_alarms",
                     "certified": "certified_recall",
                 }
-                told = [f"{name} {result[key + end]:.3f}" for name, key in names.items() if key + end in result]
-                out.print(f"{', '.join(told)} {where}")
-            for kind, told in result.get("patterns", {}).items():
-                alarms = f"{told['alarms']:.3f} ({told['plain']:.3f} without it) at 0.6"
+                figures = [f"{name} {result[key + end]:.3f}" for name, key in names.items() if key + end in result]
+                out.print(f"{', '.join(figures)} {where}")
+            for kind, figures in result.get("patterns", {}).items():
+                alarms = f"{figures['alarms']:.3f} ({figures['plain']:.3f} without it) at 0.6"
                 out.print(
-                    f"false alarms on cloth that nobody wears, {kind}: {alarms}; {told['alarms_own']:.3f} {point}"
+                    f"false alarms on cloth that nobody wears, {kind}: {alarms}; {figures['alarms_own']:.3f} {point}"
                 )
             for alarm in result.get("alarms", []):
                 out.print(f"  {alarm['score']:.3f}  {alarm['background']}: a person where nobody is")
@@ -218,9 +218,9 @@ class Look(Detecting):
         return {"looks": answer_lines(looker)} if asked is None else looker.look(asked)
 
     def show(self, result: dict) -> None:
-        for spec, told in result.get("detectors", {}).items():
-            for name, seen in ((name, seen) for name, seen in told.items() if isinstance(seen, dict)):
-                found = "found" if seen["max_person"] > told["operating_point"] else "hidden"
+        for spec, figures in result.get("detectors", {}).items():
+            for name, seen in ((name, seen) for name, seen in figures.items() if isinstance(seen, dict)):
+                found = "found" if seen["max_person"] > figures["operating_point"] else "hidden"
                 out.print(f"{spec}: {name} {found}, best score {seen['max_person']:.3f}")
         if "looks" in result:
             out.print(f"{result['looks']} looks")

@@ -63,7 +63,7 @@ class Evaluate(OnUnseen, Photographed, Watched):
         if "people" in result:
             show_people(result)
         for row in result.get("over_time", []):
-            rates = ", ".join(f"{told['success']:.2f}" for told in row["detectors"].values())
+            rates = ", ".join(f"{figures['success']:.2f}" for figures in row["detectors"].values())
             seconds = "" if row["seconds"] is None else f", {row['seconds']:.0f} s"
             out.print(f"step {row['step']}{seconds}: success {rates}")
 
@@ -95,14 +95,14 @@ def show_success(result: dict) -> None:
 
 def success_table(spec: str, measured: dict, threshold: float, own: float) -> Table:
     """Make the table of one detector; `own`: the detector's own threshold."""
-    rates = {name: told for name, told in measured.items() if isinstance(told, dict) and "success" in told}
+    rates = {name: figures for name, figures in measured.items() if isinstance(figures, dict) and "success" in figures}
     images = next(iter(rates.values()))["n"]
     heads = ("", f"at {threshold:g}", "95 %", f"own {own:g}", "renamed", "gone", "on body", "AP50")
     rows = []
-    for name, told in rates.items():
-        low, high = told["ci95"]
-        rest = (share(told.get(key)) for key in ("success_own", "renamed", "gone", "success_iou", "ap50"))
-        rows.append((name, share(told["success"]), f"{low:.2f}–{high:.2f}", *rest))
+    for name, figures in rates.items():
+        low, high = figures["ci95"]
+        rest = (share(figures.get(key)) for key in ("success_own", "renamed", "gone", "success_iou", "ap50"))
+        rows.append((name, share(figures["success"]), f"{low:.2f}–{high:.2f}", *rest))
     return table(f"{spec}: share of {images} images in which no person is reported", heads, rows)
 
 

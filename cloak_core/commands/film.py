@@ -55,22 +55,22 @@ class Film(OnUnseen, Watched):
     def show(self, result: dict) -> None:
         from cloak_core.studies.report.words import instead, percent
 
-        for spec, told in result["detectors"].items():
+        for spec, figures in result["detectors"].items():
             takes = "" if result["takes"] == 1 else f" in {result['takes']} takes"
             heads = ("", "at", "hidden", "renamed", "gone", "longest run", "first sight", "tracks")
             own = result["operating_points"][spec]
-            rows = _rows(told, {"": result["threshold"], "_own": own})
+            rows = _rows(figures, {"": result["threshold"], "_own": own})
             out.print(table(f"{spec}: {result['frames']} frames{takes}", heads, rows))
-            logo = told["logo"]
+            logo = figures["logo"]
             out.print(f"no person in {percent(logo['hidden'])} at {result['threshold']:g}{instead(logo)}")
         if result["left_out"]:
             out.print(f"in {result['left_out']} of {result['frames']} frames the body was not in the picture")
         out.print(f"wrote {result['out']} and {result['numbers']}")
 
 
-def _rows(told: dict, thresholds: dict[str, float]) -> Iterator[tuple[str, ...]]:
+def _rows(figures: dict, thresholds: dict[str, float]) -> Iterator[tuple[str, ...]]:
     """Yield what is worn, a threshold, and the figures at it."""
-    for control, x in told.items():
+    for control, x in figures.items():
         for suffix, threshold in thresholds.items():
             shares = (share(x[f"{outcome}{suffix}"]) for outcome in ("hidden", "renamed", "gone"))
             sight = x[f"first_sight_m{suffix}"]

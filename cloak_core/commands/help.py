@@ -119,14 +119,14 @@ def _option(
 ) -> Option:
     words = next((extra.help for extra in extras if getattr(extra, "help", None)), None)
     words = words or _documented(cls).get(field.name, "")
-    told = re.fullmatch(r"\(default: (.*)\)", words)
+    default_words = re.fullmatch(r"\(default: (.*)\)", words)
     if not words or words.startswith("("):
-        words = f"{SHARED.get(field.name, '')} {'' if told else words}".strip()
+        words = f"{SHARED.get(field.name, '')} {'' if default_words else words}".strip()
     is_positional = POSITIONAL in extras
     is_needed = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
     is_said = is_needed or value is None or type(value) is bool or "(default" in words
     default = "" if is_said else " ".join(map(str, value)) if type(value) is tuple else str(value)
-    default = told[1] if told else default
+    default = default_words[1] if default_words else default
     if is_needed and not is_positional:
         group = ("Required", "")
     if is_positional:
@@ -158,15 +158,15 @@ def _takes(kind: object) -> str:
 
 def _documented(cls: type) -> dict[str, str]:
     """Read the string below each field, also of the classes above."""
-    found: dict[str, str] = {}
+    docs: dict[str, str] = {}
     for above in reversed(cls.__mro__):
         if dataclasses.is_dataclass(above):
             (tree,) = ast.parse(textwrap.dedent(inspect.getsource(above))).body
             for field, below in itertools.pairwise(tree.body):
                 match field, below:
                     case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
-                        found[name] = " ".join(words.split())
-    return found
+                        docs[name] = " ".join(words.split())
+    return docs
 
 
 def all_commands(groups: dict[str, dict[str, type[Command]]]) -> str:

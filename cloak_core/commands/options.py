@@ -89,8 +89,8 @@ class DetectorOptions:
 
     def arguments(self) -> dict:
         """Give the options as `load_detector` takes them."""
-        given = vars(self) | {"compiled": self.compile}
-        return {name: value for name, value in given.items() if name != "compile"}
+        options = vars(self) | {"compiled": self.compile}
+        return {name: value for name, value in options.items() if name != "compile"}
 
 
 @dataclass(kw_only=True)

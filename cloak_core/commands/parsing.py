@@ -46,14 +46,14 @@ def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
     if {"-h", "--help", "--help-all"} & set(arguments):
         print(one_command(cls, name, default, "--help-all" in arguments), end="")
         raise SystemExit(0)
-    said = io.StringIO()
+    box = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
-            given = {} if default is None else {"default": default}
+        with contextlib.redirect_stderr(box):
+            defaults = {} if default is None else {"default": default}
             config = (tyro.conf.FlagCreatePairsOff,)
-            return tyro.cli(cls, prog=f"cloak {name}", args=arguments, config=config, registry=REGISTRY, **given)
+            return tyro.cli(cls, prog=f"cloak {name}", args=arguments, config=config, registry=REGISTRY, **defaults)
     except SystemExit:
-        why = _refusal(cls, name, said.getvalue(), arguments)
+        why = _refusal(cls, name, box.getvalue(), arguments)
         raise InputError(f"{name}: {why} (cloak {name} --help)") from None
 
 
@@ -74,8 +74,8 @@ def _refusal(cls: type[Command], name: str, boxed: str, arguments: list[str]) ->
         # tyro says this of what stands without a name when the first word is an option it does not know.
         needs, words = [value[1].upper()], arguments[:1]
     if needs:
-        said = f"unknown: {' '.join(words)}; " if words else ""
-        return f"{said}needs {', '.join(needs)}; usage: {usage(cls, name)}"
+        prefix = f"unknown: {' '.join(words)}; " if words else ""
+        return f"{prefix}needs {', '.join(needs)}; usage: {usage(cls, name)}"
     valued = re.search(r"Unrecognized options: (.*?)\s*[│|]?$", boxed, re.MULTILINE)
     switch = next((word for word in arguments if valued and word.endswith(f"={valued[1]}")), None)
     return f"{_flag(switch)}: a switch, which takes no value" if switch else _one_line(boxed)
@@ -88,10 +88,10 @@ def _flag(argument: str) -> str:
 
 def _missing(cls: type[Command], boxed: str) -> list[str]:
     """List the names of what tyro says is missing."""
-    found = FOUR_DEEP.findall(boxed.partition("Missing from")[2].partition("Unrecognized")[0])
-    words = [line for line in found if not line.startswith(("--", "cloak "))]
+    lines = FOUR_DEEP.findall(boxed.partition("Missing from")[2].partition("Unrecognized")[0])
+    words = [line for line in lines if not line.startswith(("--", "cloak "))]
     positional = [option.flag for option in options_of(cls) if option.is_positional and option.is_needed]
-    return positional[: len(words)] + [line.split()[0] for line in found if line.startswith("--")]
+    return positional[: len(words)] + [line.split()[0] for line in lines if line.startswith("--")]
 
 
 def _one_line(boxed: str) -> str:
@@ -110,11 +110,11 @@ def _one_line(boxed: str) -> str:
     return words or "not understood"
 
 
-def _choice_words(found: re.Match) -> str:
+def _choice_words(match: re.Match) -> str:
     """Word a wrong choice as settings do; tyro has the choices in the order of a set."""
-    known = sorted(found[3].rstrip(",").replace("'", "").split(", "))
-    named = found[2] if found[2].startswith("--") else found[2].upper()
-    return f"{named}: {found[1]} is not one of {', '.join(known)}"
+    known = sorted(match[3].rstrip(",").replace("'", "").split(", "))
+    named = match[2] if match[2].startswith("--") else match[2].upper()
+    return f"{named}: {match[1]} is not one of {', '.join(known)}"
 
 
 FOUR_DEEP = re.compile(r"^[│| ] {5}(\S.*?)\s*[│|]?\s*$", re.MULTILINE)

@@ -115,9 +115,9 @@ class Calibrate(Command):
         if self.out is None:
             return {"chart": str(self.chart), "patches": len(patch_colors())}
         figures = profile_of(self.measured, self.out).figures
-        told = {name: round(figures[name], 3) for name in ("de2000_before", "de2000_after")}
+        differences = {name: round(figures[name], 3) for name in ("de2000_before", "de2000_after")}
         chart = {"chart": str(self.chart)} if self.chart else {}
-        return chart | {"profile": str(self.out), **told, "patches": int(figures["patches"])}
+        return chart | {"profile": str(self.out), **differences, "patches": int(figures["patches"])}
 
     def show(self, result: dict) -> None:
         if "chart" in result:

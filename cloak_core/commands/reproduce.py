@@ -197,9 +197,9 @@ def show_rows(title: str, rows: Rows) -> None:
     """Show the rows of an experiment beside each other, with a line for each of their columns."""
     from cloak_core.experiments.publish import readable
 
-    told = readable(rows)
+    frame = readable(rows)
     if rows:
         table = Table(title=title, title_justify="left", show_header=False)
-        for line in zip(told["heads"], *told["rows"], strict=True):
+        for line in zip(frame["heads"], *frame["rows"], strict=True):
             table.add_row(*line)
         out.print(table)

@@ -55,10 +55,10 @@ class Writes(Command):
 
     def run(self) -> dict:
         require_new(self.out)
-        with warnings.catch_warnings(record=True) as said:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UserWarning)
             bodies = self.bodies()
-        for message in dict.fromkeys(str(warning.message) for warning in said):
+        for message in dict.fromkeys(str(warning.message) for warning in caught):
             warn(message)
         write_scene(self.out, bodies)
         return {"out": str(self.out), **describe(bodies)}

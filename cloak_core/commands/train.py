@@ -94,13 +94,13 @@ class Train(Photographed, Detecting):
         if preset is None and config is None and _value_of("people", arguments) is not None:
             preset = "photographs"
         # Any number: the option itself replaces it. Of --steps and --epochs the one that is given counts.
-        given: dict = {name: 1 for name in ("steps", "epochs") if _value_of(name, arguments) is not None}
-        given |= {"preset": preset} if preset in PRESETS else {}
+        overrides: dict = {name: 1 for name in ("steps", "epochs") if _value_of(name, arguments) is not None}
+        overrides |= {"preset": preset} if preset in PRESETS else {}
         in_file = {} if config is None else read_toml(Path(config))
-        begun = _as_begun(arguments, str(given.get("preset", in_file.get("preset", "best"))))
+        begun = _as_begun(arguments, str(overrides.get("preset", in_file.get("preset", "best"))))
         try:
             settings = components_from_record(
-                merge({"device": "auto"}, begun, {k.replace("-", "_"): v for k, v in in_file.items()}, given)
+                merge({"device": "auto"}, begun, {k.replace("-", "_"): v for k, v in in_file.items()}, overrides)
             )
         except InputError as error:
             raise InputError(f"{config or 'the run'}: {error}") from None
@@ -266,10 +266,10 @@ def _as_begun(arguments: list[str], preset: str) -> dict[str, object]:
 
 def _value_of(name: str, arguments: list[str]) -> str | None:
     """Find what the last --NAME in the arguments was given."""
-    found = None
+    value = None
     for argument, following in zip(arguments, [*arguments, None][1:], strict=True):
         if argument == f"--{name}":
-            found = following
+            value = following
         elif argument.startswith(f"--{name}="):
-            found = argument.partition("=")[2]
-    return found
+            value = argument.partition("=")[2]
+    return value

@@ -76,19 +76,19 @@ def expanded(color: str) -> list[str]:
     if (specs := pattern_specs(color)) != [color]:
         return specs
     pattern, _, form = color.rpartition("@")
-    found = [] if Path(pattern).exists() else sorted(glob.glob(pattern))
-    return [f"{file}@{form}" for file in found] or [color]
+    files = [] if Path(pattern).exists() else sorted(glob.glob(pattern))
+    return [f"{file}@{form}" for file in files] or [color]
 
 
 def show_worn(result: dict, threshold: float | int) -> None:
     """Show a table for each detector: who is not found in what."""
     from cloak_core.studies.report.words import most_named
 
-    for spec, told in result["detectors"].items():
+    for spec, figures in result["detectors"].items():
         point = result["operating_points"][spec]
         heads = ("", f"at {threshold:g}", "95 %", f"own {point:g}", "renamed", "gone", "as")
         rows = []
-        for name, s in told.items():
+        for name, s in figures.items():
             low, high = s["ci95"]
             rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
             rows.append((name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s)))
@@ -186,21 +186,21 @@ class Judge(Detecting):
             )
 
     def show(self, result: dict) -> None:
-        for spec, told in result["detectors"].items():
+        for spec, figures in result["detectors"].items():
             title = f"{spec}: who is found, and who is hidden though found in the clean picture"
             own = f"own {result['operating_points'][spec]:g}"
-            out.print(table(title, ("", "hidden", "95 %", own, "of", "found", "95 %", "of"), _rows(told)))
-            if told["n_nobody"]:
-                out.print(f"false alarms in {told['n_nobody']} pictures of nobody: {told['false_alarms']:.1%}")
+            out.print(table(title, ("", "hidden", "95 %", own, "of", "found", "95 %", "of"), _rows(figures)))
+            if figures["n_nobody"]:
+                out.print(f"false alarms in {figures['n_nobody']} pictures of nobody: {figures['false_alarms']:.1%}")
         for words in result["warnings"]:
             warn(words)
         counted = f"{result['pictures']} pictures, people: {result['people']}, scenes: {result['scenes']}"
         out.print(f"{counted}; wrote {result['report']}")
 
 
-def _rows(told: dict) -> Iterator[tuple[str, ...]]:
+def _rows(figures: dict) -> Iterator[tuple[str, ...]]:
     """Yield what is worn, who is hidden in it, and who is found."""
-    for name, s in {"with": told["with"], **told["controls"], "without": told["without"]}.items():
+    for name, s in {"with": figures["with"], **figures["controls"], "without": figures["without"]}.items():
         shares = share(s["conditional"]), _interval(s["ci95_conditional"]), share(s["conditional_own"])
         hidden = ("", "", "", "") if name == "without" else (*shares, str(s["n_conditional"]))
         yield (name, *hidden, share(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"]))

@@ -68,12 +68,12 @@ class Show(Command):
         out.print(f"{result['name']}: {result['about']}")
         out.print(f"{result['logo']}, {result['faces']} faces; {result['licence']}; seed {result['seed']}")
         out.print(f"trained on {', '.join(short_name(spec) for spec in result['detectors'])}: {result['command']}")
-        rows, told = [], result["evaluation"]
+        rows, figures = [], result["evaluation"]
         boxes = {True: "white", False: "black"}
-        for spec, rates in told["detectors"].items():
+        for spec, rates in figures["detectors"].items():
             logo, random = rates["logo"], rates.get("random", {})
             shares = percent(logo["success"]), interval(logo["ci95"]), percent(logo["success_own"])
-            box = boxes.get(told["white_box"].get(spec), "?")
+            box = boxes.get(figures["white_box"].get(spec), "?")
             rows.append((short_name(spec), box, *shares, percent(random.get("success")), str(logo["n"])))
         heads = ("judged by", "box", "at 0.6", "95 %", "at its own", "random", "images")
         out.print(table("success on bodies, backgrounds and angles that training never saw", heads, rows, words=2))
@@ -108,11 +108,11 @@ class Reproduce(Computing):
 
         self.prepare()
         files, rows, left_out = Files(self.files, self.backgrounds, self.detector), [], {}
-        for found in [entry(name) for name in self.names or shelved()]:
-            name = found.record["name"]
+        for zoo_entry in [entry(name) for name in self.names or shelved()]:
+            name = zoo_entry.record["name"]
             try:
                 with counted(f"zoo:{name}") as tell:
-                    judged = evaluate_again(found, files, self.most_images, self.compute.device, tell)
+                    judged = evaluate_again(zoo_entry, files, self.most_images, self.compute.device, tell)
             except InputError as error:
                 if self.names:
                     raise
@@ -125,8 +125,8 @@ class Reproduce(Computing):
         return [
             f"zoo:{row['name']}: {spec}: not what was recorded, beyond the 95 % intervals"
             for row in result["zoo"]
-            for spec, told in row["detectors"].items()
-            if not told["holds"]
+            for spec, figures in row["detectors"].items()
+            if not figures["holds"]
         ]
 
     def show(self, result: dict) -> None:
@@ -134,8 +134,8 @@ class Reproduce(Computing):
 
         rows = []
         for row in result["zoo"]:
-            for spec, told in row["detectors"].items():
-                old, new = told["recorded"], told["again"]
+            for spec, figures in row["detectors"].items():
+                old, new = figures["recorded"], figures["again"]
                 shares = [percent(rates[key]) for key in ("success", "success_own") for rates in (old, new)]
                 shares.insert(2, interval(old["ci95"]))
                 rows.append((row["name"], short_name(spec), *shares, str(new["n"])))
@@ -164,14 +164,19 @@ class Export(Command):
     def run(self) -> dict:
         from cloak_core.zoo.entry import entry
 
-        found = entry(self.name)
+        zoo_entry = entry(self.name)
         if self.format == "run":
-            found.write_run(self.out)
+            zoo_entry.write_run(self.out)
         else:
-            self._write_glb(found)
-        return {"out": str(self.out), "faces": len(found.ids), "name": found.record["name"], "format": self.format}
+            self._write_glb(zoo_entry)
+        return {
+            "out": str(self.out),
+            "faces": len(zoo_entry.ids),
+            "name": zoo_entry.record["name"],
+            "format": self.format,
+        }
 
-    def _write_glb(self, found: Entry) -> None:
+    def _write_glb(self, zoo_entry: Entry) -> None:
         from cloak_core.core.logo import load_logo
         from cloak_core.products.printing import write_worn
         from cloak_core.studies.opening import run_pattern
@@ -180,16 +185,15 @@ class Export(Command):
         require_new(self.out)
         if not 10 <= self.dpi <= 600:
             raise InputError(f"--dpi {self.dpi}: one in [10, 600] is needed")
-        recorded = found.config["inputs"].get("scene") or ""
+        recorded = zoo_entry.config["inputs"].get("scene") or ""
         scene = self.scene or (recorded if recorded.startswith("sample") else None)
         if not scene:
-            raise InputError(f"--scene: say which body wears zoo:{found.record['name']} (its own does not ship)")
+            raise InputError(f"--scene: say which body wears zoo:{zoo_entry.record['name']} (its own does not ship)")
         bodies = load_scene(scene)
-        if bodies.topology != found.config["topology"]:
-            raise InputError(
-                f"{scene}: topology {bodies.topology}, zoo:{found.record['name']} is for {found.config['topology']}"
-            )
-        path = run_path(MARK + found.record["name"])
+        if bodies.topology != zoo_entry.config["topology"]:
+            topology = zoo_entry.config["topology"]
+            raise InputError(f"{scene}: topology {bodies.topology}, zoo:{zoo_entry.record['name']} is for {topology}")
+        path = run_path(MARK + zoo_entry.record["name"])
         write_worn(self.out, bodies, run_pattern(path, load_logo(bodies, path / "logo.npy"), bodies), self.dpi)
 
     def show(self, result: dict) -> None:

@@ -24,12 +24,12 @@ def call_package(
     """
     name, _, text = spec.partition(":")
     there = entry_points(group=group)
-    found = list(there.select(name=name))
-    if len({point.value for point in found}) != 1:
+    points = list(there.select(name=name))
+    if len({point.value for point in points}) != 1:
         known = ", ".join(sorted(there.names)) or "none is installed"
-        many = "several packages have" if found else "no installed package has"
+        many = "several packages have" if points else "no installed package has"
         raise InputError(f"{spec}: {many} an entry point '{name}' of group {group} (known: {known})")
-    point = found[0]
+    point = points[0]
     try:
         make: Callable[..., object] = point.load()
         made = make(text, *arguments)

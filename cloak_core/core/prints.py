@@ -55,7 +55,7 @@ class Print:
 
     def _crowd(self, cells: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 3"]:
         """Draw rows of people, the lower in front of the upper. People are as large as cells are wide."""
-        found = np.tile(np.array(self.background), (len(cells), 1))
+        colors = np.tile(np.array(self.background), (len(cells), 1))
         # Trunks reach down here from two rows above, heads up from the row below.
         for behind in (2, 1, 0, -1):
             row = np.floor(cells[:, 1]).astype(int) - behind
@@ -72,8 +72,8 @@ class Print:
                 ((right / 0.3) ** 2 + ((down + 0.18) / 0.32) ** 2 < 1, 0.25 * face),  # hair
                 ((right / 0.23) ** 2 + ((down + 0.12) / 0.25) ** 2 < 1, face),
             ):
-                found = np.where(inside[:, None], color, found)
-        return found.astype(np.float32)
+                colors = np.where(inside[:, None], color, colors)
+        return colors.astype(np.float32)
 
 
 SKINS = ((0.98, 0.84, 0.71), (0.92, 0.74, 0.59), (0.55, 0.35, 0.24), (0.98, 0.84, 0.71), (0.78, 0.55, 0.39))

@@ -42,7 +42,7 @@ def check_image(
     boxes = person_boxes(detections, threshold)[0]
     if out is not None:
         save_picture(out, draw_boxes(pixels, boxes))
-    found: dict[str, object] = {
+    report: dict[str, object] = {
         "max_person": max_person_score(detections).item(),
         "boxes": boxes.tolist(),
         "operating_point": detector.operating_point,
@@ -51,10 +51,10 @@ def check_image(
     }
     if getattr(detector, "pixels_assumed", False):
         trials, undecided = try_pixels(detector, pixels)
-        found["pixels"] = {trial.pixels.options: trial.max_person for trial in trials}
-        found["pixels_plausible"] = {trial.pixels.options: trial.plausibility for trial in trials}
-        found["pixels_undecided"] = [trial.pixels.options for trial in trials[:undecided]]
-    return found
+        report["pixels"] = {trial.pixels.options: trial.max_person for trial in trials}
+        report["pixels_plausible"] = {trial.pixels.options: trial.plausibility for trial in trials}
+        report["pixels_undecided"] = [trial.pixels.options for trial in trials[:undecided]]
+    return report
 
 
 def read_image(path: Path) -> Float[Tensor, "3 H W"]:
@@ -92,9 +92,9 @@ def try_pixels(detector: OnnxDetector, image: Float[Tensor, "3 H W"]) -> tuple[l
     before, trials = detector.pixels, []
     try:
         for detector.pixels in dict.fromkeys((before, *USUAL)):
-            found = [_boxes(detector, side) for side in (image, image.flip(2))]
+            boxes = [_boxes(detector, side) for side in (image, image.flip(2))]
             best = max_person_score(detector(image[None])).item()
-            trials.append(Trial(detector.pixels, best, plausibility(*found, image.shape[2])))
+            trials.append(Trial(detector.pixels, best, plausibility(*boxes, image.shape[2])))
     finally:
         detector.pixels = before
     least = AS_PLAUSIBLE * max(trial.plausibility for trial in trials)
@@ -119,6 +119,6 @@ def plausibility(boxes: Float[Tensor, "n 5"], mirrored: Float[Tensor, "m 5"], wi
 
 def _boxes(detector: OnnxDetector, image: Float[Tensor, "3 H W"]) -> Float[Tensor, "n 5"]:
     """Find boxes of any class, after suppression, best first."""
-    found = detector(image[None])
-    scores = found.scores if found.other is None else torch.maximum(found.scores, found.other)
-    return suppressed(found.boxes[0], scores[0], SHOWN, SAME)[:MOST]
+    detections = detector(image[None])
+    scores = detections.scores if detections.other is None else torch.maximum(detections.scores, detections.other)
+    return suppressed(detections.boxes[0], scores[0], SHOWN, SAME)[:MOST]

@@ -124,7 +124,7 @@ def describe(record: Mapping[str, object]) -> Description:
     `confidence` in (0, 1), `licence`, `output.layout`, and `input` with `channels` (RGB or BGR), `range` and
     `normalisation`.
     """
-    names = next((found for key in NAMES if (found := names_of(record.get(key)))), None)
+    names = next((class_names for key in NAMES if (class_names := names_of(record.get(key)))), None)
     outputs, inputs = (
         part if isinstance(part, Mapping) else {} for part in (record.get("output"), record.get("input"))
     )

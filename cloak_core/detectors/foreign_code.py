@@ -198,8 +198,8 @@ def watched(file: Path) -> Iterator[None]:
     finally:
         del _watching.paths
         folder = file.resolve().parent
-        found = {Path(os.path.realpath(path)) for path in paths}
-        _opened[file.resolve()] |= {path for path in found if folder in path.parents}
+        files = {Path(os.path.realpath(path)) for path in paths}
+        _opened[file.resolve()] |= {path for path in files if folder in path.parents}
 
 
 def data_beside(file: Path) -> dict[str, str]:
@@ -210,9 +210,9 @@ def data_beside(file: Path) -> dict[str, str]:
     """
     folder, file = file.resolve().parent, file.resolve()
     sources = set(imported_files(file).values())
-    found = {path for path in _opened[file] | set(_named(file, sources)) if path not in sources}
+    data_files = {path for path in _opened[file] | set(_named(file, sources)) if path not in sources}
     data = {}
-    for path in sorted(found):
+    for path in sorted(data_files):
         if path.suffix in (".py", ".pyc") or not path.is_file() or path.stat().st_size > MAX_DATA_BYTES:
             continue
         data[path.relative_to(folder).as_posix()] = hashlib.sha256(read_bytes(path, MAX_DATA_BYTES)).hexdigest()

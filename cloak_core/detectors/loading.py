@@ -52,8 +52,8 @@ def load_detector(
 
         head, rest = defended
         read_head(head, spec)  # before anything is loaded
-        given = {"input_size": input_size, "letterbox": letterbox, "person_class": person_class, "device": device}
-        inner = load_detector(rest, **given, compiled=compiled, layout=layout, download=download, fold=fold)
+        options = {"input_size": input_size, "letterbox": letterbox, "person_class": person_class, "device": device}
+        inner = load_detector(rest, **options, compiled=compiled, layout=layout, download=download, fold=fold)
         detector = defend(inner, head)
         detector.precision = chosen
         return detector

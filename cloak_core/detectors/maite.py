@@ -40,9 +40,9 @@ class MaiteModel(nn.Module):
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Tensor, Tensor]:
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
             targets = self.model(list(images if self.differentiable else images.detach()))
-        found = [_persons(target, self.label, images) for target in targets]
-        boxes = nn.utils.rnn.pad_sequence([boxes for boxes, _ in found], batch_first=True)
-        scores = nn.utils.rnn.pad_sequence([scores for _, scores in found], batch_first=True)
+        persons = [_persons(target, self.label, images) for target in targets]
+        boxes = nn.utils.rnn.pad_sequence([boxes for boxes, _ in persons], batch_first=True)
+        scores = nn.utils.rnn.pad_sequence([scores for _, scores in persons], batch_first=True)
         return boxes.reshape(len(images), -1, 4), scores
 
 

@@ -82,13 +82,13 @@ class PixelFormat:
     def options(self) -> str:
         """As a spec says it."""
         listed = {"mean": "/".join(f"{v:g}" for v in self.mean), "std": "/".join(f"{v:g}" for v in self.std)}
-        said = ["bgr"] * self.bgr + [f"range={self.range:g}"] * (self.range != 1)
-        said += [
+        words = ["bgr"] * self.bgr + [f"range={self.range:g}"] * (self.range != 1)
+        words += [
             f"{name}={listed[name]}"
             for name, plain in (("mean", 0.0), ("std", 1.0))
             if set(getattr(self, name)) != {plain}
         ]
-        return ",".join(said) or "rgb"
+        return ",".join(words) or "rgb"
 
     @staticmethod
     def _channels(values: tuple[float, ...], like: Tensor) -> Tensor:

@@ -64,19 +64,19 @@ class PythonDetector(Detector):
         first, layout = self._range is None, self.memory_format
         before = self._versions() if first else []
         with set_back():
-            found = super().forward(images)
-        if images.requires_grad and torch.is_grad_enabled() and not found.scores.requires_grad:
-            if found.scores.numel():
+            detections = super().forward(images)
+        if images.requires_grad and torch.is_grad_enabled() and not detections.scores.requires_grad:
+            if detections.scores.numel():
                 raise self._error("its scores carry no gradient of the images (detached, or made without one?)")
-            found = found._replace(scores=found.scores + 0 * images.sum())
-        self._watch(found.scores.detach())
+            detections = detections._replace(scores=detections.scores + 0 * images.sum())
+        self._watch(detections.scores.detach())
         if first and self._range is not None:
             self._check_range()
             if self.memory_format == layout and self._versions() != before:
                 raise self._error("it changes its own parameters or buffers when it is called")
         with set_back():
-            self._ask_again(images.detach(), found)
-        return found
+            self._ask_again(images.detach(), detections)
+        return detections
 
     def verify(self, before: str) -> None:
         """See `Detector.verify`; what the user's module did wrong is an InputError."""
@@ -86,9 +86,9 @@ class PythonDetector(Detector):
             raise self._error("it changed its own parameters or buffers while it was used")
 
     @torch.no_grad()
-    def _ask_again(self, images: Float[Tensor, "B 3 H W"], found: Detections) -> None:
+    def _ask_again(self, images: Float[Tensor, "B 3 H W"], detections: Detections) -> None:
         """Ask the first images twice, and one of the first batch alone. InputError: it does not answer the same."""
-        before = max_person_score(found).detach()
+        before = max_person_score(detections).detach()
         for how, least, rows in (
             ("is asked twice about the same images", 1, slice(None)),
             ("sees an image alone and among others", 2, slice(-1, None)),
@@ -108,10 +108,12 @@ class PythonDetector(Detector):
         """Note the lowest and highest score so far, without waiting for the device."""
         if not scores.numel():
             return
-        found = torch.stack(scores.aminmax())
-        if self._range is None or self._range.device != found.device:
-            self._range = found
-        self._range = torch.stack([torch.minimum(self._range[0], found[0]), torch.maximum(self._range[1], found[1])])
+        extremes = torch.stack(scores.aminmax())
+        if self._range is None or self._range.device != extremes.device:
+            self._range = extremes
+        self._range = torch.stack(
+            [torch.minimum(self._range[0], extremes[0]), torch.maximum(self._range[1], extremes[1])]
+        )
 
     def _check_range(self) -> None:
         low, high = (0.0, 0.0) if self._range is None else self._range.tolist()
@@ -130,8 +132,12 @@ class PythonDetector(Detector):
         inputs, placement = images, Placement()
         if self.input_size is not None:
             inputs, placement = fit(images, self.input_size, self.letterbox)
-        found = self._checked(self._run(inputs), images)
-        return found._replace(boxes=placement.restore(found.boxes)) if self.input_size is not None else found
+        detections = self._checked(self._run(inputs), images)
+        return (
+            detections._replace(boxes=placement.restore(detections.boxes))
+            if self.input_size is not None
+            else detections
+        )
 
     def _run(self, inputs: Float[Tensor, "B 3 H W"]) -> object:
         # An object of a program's own may stand at a breakpoint; its signals are the program's.
@@ -158,26 +164,26 @@ class PythonDetector(Detector):
             or not all(isinstance(o, Tensor) for o in output[:2])
         ):
             raise self._error(f"must return (boxes, scores), two tensors; it returned {type(output).__name__}")
-        found = output if isinstance(output, Detections) else Detections(output[0], output[1])
-        boxes, scores = tuple(found.boxes.shape), tuple(found.scores.shape)
+        detections = output if isinstance(output, Detections) else Detections(output[0], output[1])
+        boxes, scores = tuple(detections.boxes.shape), tuple(detections.scores.shape)
         if len(boxes) != 3 or boxes[2] != 4 or scores != boxes[:2] or boxes[0] != count:
             raise self._error(
                 f"for {count} images must return boxes [{count}, N, 4] and scores [{count}, N]; "
                 f"it returned {list(boxes)} and {list(scores)}"
             )
-        for name, tensor in zip(("boxes", "scores"), found, strict=False):
+        for name, tensor in zip(("boxes", "scores"), detections, strict=False):
             if tensor.device != images.device:
                 raise self._error(f"its {name} are on {tensor.device}, the images on {images.device}")
             if not tensor.is_floating_point() or tensor.layout != torch.strided:
                 kind = tensor.dtype if tensor.layout == torch.strided else f"{tensor.layout}, a sparse tensor"
                 raise self._error(f"its {name} are {kind}, not floating-point numbers")
-        if found.boxes.device.type == "cpu":
-            sizes = (found.boxes[..., 2:] - found.boxes[..., :2]).detach()
-            if bool(((sizes < 0).any(dim=2) & (found.scores.detach() > CLEAR)).any()):
+        if detections.boxes.device.type == "cpu":
+            sizes = (detections.boxes[..., 2:] - detections.boxes[..., :2]).detach()
+            if bool(((sizes < 0).any(dim=2) & (detections.scores.detach() > CLEAR)).any()):
                 raise self._error("a box has its corners swapped: they are x1, y1, x2, y2")
-        if (found.other is None) != (found.other_class is None):
+        if (detections.other is None) != (detections.other_class is None):
             raise self._error("must return both of other and other_class, or neither")
-        return found
+        return detections
 
 
 def load_python(request: Request) -> PythonDetector:

@@ -136,12 +136,12 @@ class _Walk:
         steps = list(dis.get_instructions(code))
         imports = [(k, step.argval) for k, step in enumerate(steps) if step.opname == "IMPORT_NAME"]
         for k, name in imports:
-            found = sys.modules.get(name) or importlib.util.find_spec(name)
-            if steps[k - 2].argval or found is None:  # how many packages up it begins
+            module = sys.modules.get(name) or importlib.util.find_spec(name)
+            if steps[k - 2].argval or module is None:  # how many packages up it begins
                 raise ImportError(name)
-            if isinstance(found, types.ModuleType):
-                self._global(found, set(code.co_names))
-            elif found.origin in (None, "built-in", "frozen") or _is_installed(found.origin):
+            if isinstance(module, types.ModuleType):
+                self._global(module, set(code.co_names))
+            elif module.origin in (None, "built-in", "frozen") or _is_installed(module.origin):
                 self._say("module", name)
             else:
                 raise ImportError(name)
@@ -212,14 +212,14 @@ _KINDS = (
 
 def _globals_of(code: types.CodeType) -> dict[str, set[str]]:
     """Names of globals that the code, or code within it, reads, and all names that it may ask of them."""
-    found: dict[str, set[str]] = {}
+    names: dict[str, set[str]] = {}
     codes = [code]
     for inner in codes:  # grows by the code within it
         codes += [const for const in inner.co_consts if isinstance(const, types.CodeType)]
         for step in dis.get_instructions(inner):
             if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
-                found.setdefault(step.argval, set()).update(inner.co_names)
-    return found
+                names.setdefault(step.argval, set()).update(inner.co_names)
+    return names
 
 
 def _is_part_of_package(module: types.ModuleType) -> bool:

@@ -155,10 +155,10 @@ def load_tflite(request: Request) -> OnnxDetector:
         interpreter.allocate_tensors()
     except Exception as error:
         raise InputError(f"{path}: LiteRT cannot run it at {size[0]}x{size[1]} ({first_line(error)[:160]})") from None
-    given, outputs = interpreter.get_input_details()[0], interpreter.get_output_details()
+    input_details, outputs = interpreter.get_input_details()[0], interpreter.get_output_details()
 
     def run(image: np.ndarray) -> list[np.ndarray]:
-        interpreter.set_tensor(given["index"], _quantised(image, given))
+        interpreter.set_tensor(input_details["index"], _quantised(image, input_details))
         interpreter.invoke()
         return [_real(interpreter.get_tensor(output["index"]), output) for output in outputs]
 
@@ -168,18 +168,18 @@ def load_tflite(request: Request) -> OnnxDetector:
         channels_last=channels_last,
         size=size,
         output_names=tuple(str(output["name"]) for output in outputs),
-        said=(Description(names=_labels(data), pixels=_pixels(given)), read_description(path)),
+        said=(Description(names=_labels(data), pixels=_pixels(input_details)), read_description(path)),
     )
     return load_black_box(request, file, run, "ai-edge-litert")
 
 
-def _quantised(image: np.ndarray, given: Mapping) -> np.ndarray:
+def _quantised(image: np.ndarray, input_details: Mapping) -> np.ndarray:
     """Convert real numbers to the input's type, by its scale and zero point."""
-    if np.issubdtype(given["dtype"], np.floating):
-        return image.astype(given["dtype"])
-    scale, zero = given["quantization"]
-    bounds = np.iinfo(given["dtype"])
-    return np.clip(np.rint(image / (scale or 1.0) + zero), bounds.min, bounds.max).astype(given["dtype"])
+    if np.issubdtype(input_details["dtype"], np.floating):
+        return image.astype(input_details["dtype"])
+    scale, zero = input_details["quantization"]
+    bounds = np.iinfo(input_details["dtype"])
+    return np.clip(np.rint(image / (scale or 1.0) + zero), bounds.min, bounds.max).astype(input_details["dtype"])
 
 
 def _real(values: np.ndarray, output: Mapping) -> np.ndarray:
@@ -189,12 +189,12 @@ def _real(values: np.ndarray, output: Mapping) -> np.ndarray:
     return ((values.astype(np.float32) - zero) * scale).astype(np.float32)
 
 
-def _pixels(given: Mapping) -> PixelFormat | None:
+def _pixels(input_details: Mapping) -> PixelFormat | None:
     """Find the pixel format that an input of integers stands for; None where it is no usual range."""
-    if np.issubdtype(given["dtype"], np.floating):
+    if np.issubdtype(input_details["dtype"], np.floating):
         return None
-    scale, zero = given["quantization"]
-    bounds = np.iinfo(given["dtype"])
+    scale, zero = input_details["quantization"]
+    bounds = np.iinfo(input_details["dtype"])
     low, high = ((bound - zero) * (scale or 1.0) for bound in (bounds.min, bounds.max))
     usual = ((0, 1, PixelFormat()), (0, 255, PixelFormat(range=255.0)), (-1, 1, SYMMETRIC))
     near = lambda a, b: abs(a - b) <= 0.02 * (high - low)

@@ -71,9 +71,9 @@ def parse_spec(spec: str) -> Request:
     kinds = [next(kind for kind, form in OPTIONS.items() if re.fullmatch(form, option)) for option in options]
     if len(set(kinds)) < len(kinds):
         raise InputError(f"detector {spec!r}: {max(kinds, key=kinds.count)} is given twice")
-    given = dict(zip(kinds, options, strict=True))
-    sides = [int(side) for side in given["size"].split("x")] if "size" in given else []
-    (confidence,) = _numbers(spec, given["conf"]) if "conf" in given else (None,)
+    options_by_kind = dict(zip(kinds, options, strict=True))
+    sides = [int(side) for side in options_by_kind["size"].split("x")] if "size" in options_by_kind else []
+    (confidence,) = _numbers(spec, options_by_kind["conf"]) if "conf" in options_by_kind else (None,)
     if confidence is not None and not 0 < confidence < 1:
         raise InputError(f"detector {spec!r}: conf={confidence:g} is not in (0, 1)")
     family, _, what = what.partition(":")
@@ -82,22 +82,22 @@ def parse_spec(spec: str) -> Request:
         family,
         what,
         input_size=(sides[0], sides[-1]) if sides else None,
-        letterbox=given.get("letterbox") == "letterbox",
-        stretch=given.get("letterbox") == "stretch",
-        person_class=given["person"].partition("=")[2] if "person" in given else None,
-        pixels=_pixels(spec, given),
+        letterbox=options_by_kind.get("letterbox") == "letterbox",
+        stretch=options_by_kind.get("letterbox") == "stretch",
+        person_class=options_by_kind["person"].partition("=")[2] if "person" in options_by_kind else None,
+        pixels=_pixels(spec, options_by_kind),
         confidence=confidence,
     )
 
 
-def _pixels(spec: str, given: dict[str, str]) -> PixelFormat | None:
-    if not {"bgr", "range", "mean", "std"} & given.keys():
+def _pixels(spec: str, options: dict[str, str]) -> PixelFormat | None:
+    if not {"bgr", "range", "mean", "std"} & options.keys():
         return None
-    values = {name: _numbers(spec, given[name]) for name in ("mean", "std", "range") if name in given}
+    values = {name: _numbers(spec, options[name]) for name in ("mean", "std", "range") if name in options}
     if 0 in values.get("std", ()):
-        raise InputError(f"detector {spec!r}: a standard deviation of 0 in {given['std']}")
+        raise InputError(f"detector {spec!r}: a standard deviation of 0 in {options['std']}")
     (scale,) = values.pop("range", (1.0,))
-    return PixelFormat(bgr=given.get("bgr") == "bgr", range=scale, **values)
+    return PixelFormat(bgr=options.get("bgr") == "bgr", range=scale, **values)
 
 
 def _numbers(spec: str, option: str) -> tuple[float, ...]:

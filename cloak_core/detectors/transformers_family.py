@@ -74,8 +74,8 @@ class TransformersDetector(Detector):
         with Undetached() if images.requires_grad else nullcontext():
             output = self.model(pixel_values=self.preprocessing(images))
         logits, boxes = at_least_float32(output.logits), at_least_float32(output.pred_boxes)
-        found = queries(logits, boxes, images.shape[2:], exclusive=logits.shape[-1] == self.labels + 1)
-        return found.of_person(self.person, Placement())
+        detections = queries(logits, boxes, images.shape[2:], exclusive=logits.shape[-1] == self.labels + 1)
+        return detections.of_person(self.person, Placement())
 
 
 def load_transformers(request: Request) -> TransformersDetector:

@@ -66,8 +66,8 @@ def _nearest(wanted: np.ndarray, among: np.ndarray) -> np.ndarray:
     """The row of `among` that is nearest to each wanted colour."""
     square = (among.astype(np.float64) ** 2).sum(axis=1)
     parts = [wanted[first : first + 256] for first in range(0, len(wanted), 256)]
-    found = [(square - 2 * part @ among.T).argmin(axis=1) for part in parts]
-    return np.concatenate(found) if found else np.empty(0, np.int64)
+    nearest = [(square - 2 * part @ among.T).argmin(axis=1) for part in parts]
+    return np.concatenate(nearest) if nearest else np.empty(0, np.int64)
 
 
 def read_profile(path: str | os.PathLike) -> Profile:

@@ -104,13 +104,13 @@ class DiskCache:
         if self._folder is None:
             return
         self._written = 0
-        found = []
+        entries = []
         for pattern in (f"*{self._suffix}", f"{_NEW}*"):
             for path in self._folder.glob(pattern):
                 with contextlib.suppress(OSError):  # another process may have removed it
-                    found.append((path.stat().st_mtime, path.stat().st_size, path))
+                    entries.append((path.stat().st_mtime, path.stat().st_size, path))
         total = 0
-        for _, size, path in sorted(found, reverse=True):
+        for _, size, path in sorted(entries, reverse=True):
             total += size
             if total > self._limit:
                 with contextlib.suppress(OSError):
@@ -176,7 +176,7 @@ def storages(item: object) -> dict[int, int]:
             item = item.base
         return {item.ctypes.data: item.nbytes}
     parts = item if isinstance(item, (list, tuple)) else item.values() if isinstance(item, dict) else []
-    found = {}
+    tensors = {}
     for part in (*parts, *getattr(item, "__dict__", {}).values()):
-        found |= storages(part)
-    return found
+        tensors |= storages(part)
+    return tensors

@@ -45,32 +45,32 @@ def code_hash(*parts: str) -> str:
 
     FileNotFoundError: there is no such room or file.
     """
-    found = {}
+    hashes = {}
     for part in parts:
         path = _PROJECT / part
         for file in path.rglob("*.py") if path.is_dir() else [path]:
-            found[file.relative_to(_PROJECT).as_posix()] = hashlib.sha256(file.read_bytes()).hexdigest()
-    return sha256_record(found)
+            hashes[file.relative_to(_PROJECT).as_posix()] = hashlib.sha256(file.read_bytes()).hexdigest()
+    return sha256_record(hashes)
 
 
 def source_hash(file: Path) -> str:
     """SHA-256 (hex) of a Python file and of all it imports from its own folder, directly or through others."""
-    found = imported_files(file)
-    return sha256_record({name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()})
+    files = imported_files(file)
+    return sha256_record({name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()})
 
 
 def imported_files(file: Path) -> dict[str, Path]:
     """A Python file (by "") and all it imports from its own folder, directly or through others, by module names."""
-    folder, found = file.parent, {"": file}
+    folder, files = file.parent, {"": file}
     left = [file]
     while left:
         for name in _imports(left.pop()):
             module = folder / name.replace(".", "/")
             for path in (module.with_suffix(".py"), module / "__init__.py"):
-                if name not in found and path.is_file():
-                    found[name] = path
+                if name not in files and path.is_file():
+                    files[name] = path
                     left.append(path)
-    return found
+    return files
 
 
 def _imports(file: Path) -> Iterable[str]:

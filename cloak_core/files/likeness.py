@@ -165,7 +165,7 @@ def same_spreads(known: Sequence[Sequence[float]], new: Sequence[Sequence[float]
     """Pairs (index in `known`, index in `new`) of spreads of one pose."""
     ours = np.array(known, np.float64).reshape(len(known), -1 if len(known) else 1)
     near = [np.abs(ours - spread).max(1) <= SPREAD_DISTANCE for spread in np.array(new)] if len(ours) else []
-    return [(int(i), j) for j, found in enumerate(near) for i in np.flatnonzero(found)]
+    return [(int(i), j) for j, matches in enumerate(near) for i in np.flatnonzero(matches)]
 
 
 def similar_poses(known: Sequence[Sequence[float]], new: Sequence[Sequence[float]]) -> list[tuple[int, int]]:

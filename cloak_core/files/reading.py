@@ -55,12 +55,12 @@ def open_regular(path: str | os.PathLike, limit: int = MAX_BYTES) -> Iterator[Bi
         raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or first_line(error)}") from None
-    found = os.fstat(handle)
-    if not stat.S_ISREG(found.st_mode) or found.st_size > limit:
+    status = os.fstat(handle)
+    if not stat.S_ISREG(status.st_mode) or status.st_size > limit:
         os.close(handle)
         too_large = f"larger than any file of its kind taken here ({_size(limit)})"
-        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
-        raise InputError(f"{path}: {too_large if stat.S_ISREG(found.st_mode) else kind}")
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file"
+        raise InputError(f"{path}: {too_large if stat.S_ISREG(status.st_mode) else kind}")
     with os.fdopen(handle, "rb") as file:
         try:
             yield file
@@ -193,9 +193,9 @@ def check_directory(file: BinaryIO) -> None:
     size = file.seek(0, io.SEEK_END)
     file.seek(max(0, size - (1 << 16) - 128))
     tail = file.read()
-    for found in re.finditer(b"PK\5\6", tail):
-        length = int.from_bytes(tail[found.start() + 12 : found.start() + 16], "little")
-        more = tail[max(0, found.start() - 76) : found.start()]  # where zip64 says it once more, and counts
+    for match in re.finditer(b"PK\5\6", tail):
+        length = int.from_bytes(tail[match.start() + 12 : match.start() + 16], "little")
+        more = tail[max(0, match.start() - 76) : match.start()]  # where zip64 says it once more, and counts
         if more.startswith(b"PK\6\6") and more[56:].startswith(b"PK\6\7"):
             length = int.from_bytes(more[40:48], "little")
         if length > MAX_DIRECTORY_BYTES:

@@ -34,8 +34,8 @@ def read_table(path: str | os.PathLike, known: Sequence[str], needed: Sequence[s
     head = [name.strip().lower() for name in lines[0][1]]
     for name in head:
         if name not in known or head.count(name) > 1:
-            said = "stands there twice" if name in known else f"is not one of {', '.join(known)}"
-            raise InputError(f"{path}: column '{name}' {said}")
+            problem = "stands there twice" if name in known else f"is not one of {', '.join(known)}"
+            raise InputError(f"{path}: column '{name}' {problem}")
     absent = [name for name in needed if name not in head]
     if absent:
         raise InputError(f"{path}: no column '{absent[0]}' in its first line")

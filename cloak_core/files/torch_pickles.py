@@ -204,13 +204,13 @@ def _folder_in(archive: zipfile.ZipFile, path: Path, size: int) -> str:
     members = archive.infolist()
     if any(m.filename.endswith("constants.pkl") for m in members):
         raise InputError(f"{path}: a TorchScript archive, a compiled program; give the checkpoint it was made from")
-    found = [m for m in members if m.filename == "data.pkl" or m.filename.endswith("/data.pkl")]
-    if len(found) != 1 or len(members) > MAX_MEMBERS:
+    pickles = [m for m in members if m.filename == "data.pkl" or m.filename.endswith("/data.pkl")]
+    if len(pickles) != 1 or len(members) > MAX_MEMBERS:
         raise ValueError("no archive of one model")
     # torch compresses nothing, and no two members share their bytes.
-    if found[0].file_size > MAX_PICKLE_BYTES or sum(m.file_size for m in members) > size:
+    if pickles[0].file_size > MAX_PICKLE_BYTES or sum(m.file_size for m in members) > size:
         raise ValueError("too large: it would unpack to more than it is")
-    folder = found[0].filename.removesuffix("data.pkl")
+    folder = pickles[0].filename.removesuffix("data.pkl")
     if any(m.filename == f"{folder}byteorder" for m in members) and archive.read(f"{folder}byteorder") != b"little":
         raise ValueError("big-endian numbers")
     return folder

@@ -129,9 +129,11 @@ def write_entry(
     }
     for end in ("npz", "json"):
         remove_leftovers(folder / f"{name}.{end}")
-    told = np.frombuffer(json.dumps(config, separators=(",", ":"), allow_nan=False).encode(), np.uint8)
+    config_bytes = np.frombuffer(json.dumps(config, separators=(",", ":"), allow_nan=False).encode(), np.uint8)
     cloth = {"cloth": read_picture(run / CLOTH_FILE)} if (run / CLOTH_FILE).exists() else {}
-    write_npz(folder / f"{name}.npz", compressed=True, colors=colors, faces=np.packbits(mask), config=told, **cloth)
+    write_npz(
+        folder / f"{name}.npz", compressed=True, colors=colors, faces=np.packbits(mask), config=config_bytes, **cloth
+    )
     write_json(folder / f"{name}.json", record)
     return record
 
@@ -167,8 +169,10 @@ def _judged(summary: dict, *keys: str) -> dict:
         kept[key] = {without_folders(spec): value for spec, value in summary.get(key, {}).items()}
     worn = ("logo", *summary["settings"]["controls"])
     kept["detectors"] = {
-        without_folders(spec): {name: {key: told[name].get(key) for key in _SHOWN} for name in worn if name in told}
-        for spec, told in summary["detectors"].items()
+        without_folders(spec): {
+            name: {key: figures[name].get(key) for key in _SHOWN} for name in worn if name in figures
+        }
+        for spec, figures in summary["detectors"].items()
     }
     return kept
 
@@ -190,7 +194,7 @@ def _photographs(run: Path, config: dict) -> dict:
 
 def mean_success(judged: dict) -> float | None:
     """Average success over the detectors that an evaluation in a record asked; None where there is none."""
-    rates = [told["logo"]["success"] for told in judged.get("detectors", {}).values()]
+    rates = [figures["logo"]["success"] for figures in judged.get("detectors", {}).values()]
     return round(float(np.mean(rates)), 4) if rates else None
 
 
@@ -236,19 +240,19 @@ def best_run(folder: Path) -> Path:
 
 @cache
 def _run_of(name: str) -> Path:
-    found, folder = entry(name), cache_folder("zoo")
+    record, folder = entry(name), cache_folder("zoo")
     # Named by content: another version's entry of the same name is another folder.
-    place = f"{name}-{sha256_record(found.record)[:12]}"
+    place = f"{name}-{sha256_record(record.record)[:12]}"
     if folder is not None:
         run = folder / place
         try:
-            return run if (run / "colors.npy").exists() else found.write_run(run)
+            return run if (run / "colors.npy").exists() else record.write_run(run)
         except InputError as error:
             if (run / "colors.npy").exists():  # another process was quicker
                 return run
             _log.warning("%s: entries of the zoo are not kept (%s)", folder, error)
     _TEMPORARY.append(tempfile.TemporaryDirectory(prefix="cloak-zoo-"))
-    return found.write_run(Path(_TEMPORARY[-1].name) / place)
+    return record.write_run(Path(_TEMPORARY[-1].name) / place)
 
 
 def read_start(path: Path, logo: Logo, option: str = "--init") -> Float32[np.ndarray, "L 3"]:

@@ -44,8 +44,8 @@ class DarknetDetector(Detector):
         inputs, placement = fit(images, size, self.letterbox)
         maps = self.network(inputs.contiguous(memory_format=self.memory_format))
         parts = [head.decode(raw, size) for head, raw in zip(self.network.heads, maps, strict=True)]
-        found = Decoded(*(torch.cat(group, dim=1) for group in zip(*parts, strict=True)))
-        return found._replace(boxes=in_pixels(found.boxes, size)).of_person(self.person, placement)
+        decoded = Decoded(*(torch.cat(group, dim=1) for group in zip(*parts, strict=True)))
+        return decoded._replace(boxes=in_pixels(decoded.boxes, size)).of_person(self.person, placement)
 
 
 def load_darknet(request: Request) -> DarknetDetector:

@@ -49,12 +49,12 @@ def check_size(network: Network, path: Path) -> tuple[int, int]:
         raise InputError(f"{path}: no such file (expected {expected:,} floats of weights)")
     with open_regular(path) as file:
         header, revision = _header(file.read(12))
-        found, odd = divmod(max(file.seek(0, os.SEEK_END) - header, 0), 4)
-    if found != expected or odd:
+        count, odd = divmod(max(file.seek(0, os.SEEK_END) - header, 0), 4)
+    if count != expected or odd:
         more = f" and {odd} odd bytes" if odd else ""
         raise InputError(
-            f"{path}: expected {expected:,} floats for {network.sections[0].source}, found {found:,}{more} "
-            f"({'truncated' if found < expected else 'too long'}, or the weights of another cfg)"
+            f"{path}: expected {expected:,} floats for {network.sections[0].source}, found {count:,}{more} "
+            f"({'truncated' if count < expected else 'too long'}, or the weights of another cfg)"
         )
     return header, revision
 

@@ -79,6 +79,6 @@ def spans(length: int, patch: int) -> list[tuple[int, int]]:
     return [(begin, begin + side) for begin in sorted({min(k * step, length - side) for k in range(GRID)})]
 
 
-def _best(found: Detections) -> Detections:
-    rows = found.scores.topk(min(KEPT, found.scores.shape[1]), dim=1).indices
-    return found.each(lambda part: part[torch.arange(len(rows), device=rows.device)[:, None], rows])
+def _best(detections: Detections) -> Detections:
+    rows = detections.scores.topk(min(KEPT, detections.scores.shape[1]), dim=1).indices
+    return detections.each(lambda part: part[torch.arange(len(rows), device=rows.device)[:, None], rows])

@@ -171,8 +171,8 @@ class RawYolo:
         if len(heads) != len(self.anchors) or any(head.dim() != 5 or head.shape[1] != count for head in heads):
             raise ValueError(f"heads {[list(head.shape) for head in heads]}")
         heads.sort(key=lambda head: -head.shape[2])
-        found = torch.cat([self._decode(*head, size) for head in zip(heads, self.anchors, strict=True)], dim=1)
-        return Decoded(corners(found[..., :4]), found[..., 5:], found[..., 4])
+        rows = torch.cat([self._decode(*head, size) for head in zip(heads, self.anchors, strict=True)], dim=1)
+        return Decoded(corners(rows[..., :4]), rows[..., 5:], rows[..., 4])
 
     def _decode(self, head: Float[Tensor, "B A h w C"], anchors: tuple, size: Size) -> Float[Tensor, "B N C"]:
         height, width = head.shape[2:4]

@@ -274,9 +274,9 @@ def _compare(detector: OnnxDetector, file: ModelFile, fold: bool) -> None:
 
 def _names(file: NetworkFile, layout: Layout, count: int | None) -> tuple[str, ...] | None:
     """Find names of its classes: the file's own, its description's, of a list beside it, or COCO's by their number."""
-    for said in file.said:
-        if said.names and count in (None, len(said.names)):
-            return said.names
+    for value in file.said:
+        if value.names and count in (None, len(value.names)):
+            return value.names
     if count is None:
         beside = file.path.with_suffix(".names")
         return read_names(beside) if beside.is_file() else layout.names

@@ -76,11 +76,11 @@ def _boxes_and_scores(graph: onnx.GraphProto) -> Iterator[tuple[str, str]]:
 
 def _downstream(graph: onnx.GraphProto, names: Iterable[str]) -> set[str]:
     """These tensors and all that are computed from them; nodes stand in the order they run in."""
-    found = set(names)
+    reached = set(names)
     for node in graph.node:
-        if found.intersection(node.input):
-            found.update(node.output)
-    return found
+        if reached.intersection(node.input):
+            reached.update(node.output)
+    return reached
 
 
 def _ending_in(model: onnx.ModelProto, names: tuple[str, ...]) -> onnx.ModelProto:
@@ -107,7 +107,7 @@ def _has_the_same_best(file: ModelFile, cut: ModelFile) -> bool:
     Where the file reports nothing there: whether these are corners in their order, and probabilities.
     """
     whole, before = Session(file), Session(cut)
-    found, sane = 0, True
+    matches, sane = 0, True
     for image in sample_images(file.size).split(1):
         (rows,), (boxes, scores, _) = whole(image), every_box(before(image), file.size)
         if rows.dim() != 3 or rows.shape[2] != 6 or boxes.shape[:2] != scores.shape[:2] or boxes.shape[2] != 4:
@@ -117,6 +117,6 @@ def _has_the_same_best(file: ModelFile, cut: ModelFile) -> bool:
             near = (boxes[0] - row[:4]).abs().amax(dim=1) <= PIXELS
             if not bool((near & ((scores[0, :, int(row[5])] - row[4]).abs() <= SCORE)).any()):
                 return False
-        found += len(best)
+        matches += len(best)
         sane &= bool((boxes[..., 2:] >= boxes[..., :2]).all()) and bool(((scores >= 0) & (scores <= 1)).all())
-    return found > 0 or sane
+    return matches > 0 or sane

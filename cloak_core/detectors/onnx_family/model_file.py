@@ -165,18 +165,18 @@ def _load_outside(model: onnx.ModelProto, path: Path) -> list[np.ndarray]:
         for entry in tensor.external_data
         if entry.key == "location"
     }
-    folder, found = path.resolve().parent, []
+    folder, files = path.resolve().parent, []
     for place in sorted(places):
         target = (folder / place).resolve() if "\0" not in place else folder  # which no path may hold
         if folder not in target.parents:
             raise InputError(f"{path}: keeps weights in {place}, outside its folder; they are not read")
-        found.append(np.frombuffer(read_bytes(target, MAX_BYTES), np.uint8))
+        files.append(np.frombuffer(read_bytes(target, MAX_BYTES), np.uint8))
     if places:
         try:
             load_external_data_for_model(model, str(folder))
         except Exception as error:
             raise InputError(f"{path}: its weights beside it cannot be read ({first_line(error)[:120]})") from None
-    return found
+    return files
 
 
 def _as_float32(model: onnx.ModelProto, path: Path) -> None:

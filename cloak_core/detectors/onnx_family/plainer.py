@@ -69,13 +69,13 @@ def _silu(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
 
 
 def _slice(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
-    x, *given = node.args
-    known = [value if value is None else tuple(value.tolist()) for value in (constant(v, graph) for v in given)]
+    x, *bounds = node.args
+    known = [value if value is None else tuple(value.tolist()) for value in (constant(v, graph) for v in bounds)]
     starts, ends, axes, steps = (*known, None, None)[:4]
     if None in known[2:] or min(steps or (1,)) < 1:
         return None
     if starts is None or ends is None:
-        return cut_between, (x, *given[:2], axes, steps)
+        return cut_between, (x, *bounds[:2], axes, steps)
     return cut, (x, _slices(starts, ends, axes, steps))
 
 

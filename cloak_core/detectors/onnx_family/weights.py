@@ -116,7 +116,7 @@ class TrainableWeights:
 
         arguments = {node.target: node.args for node in graph.graph.nodes if node.op == "call_module"}
         kinds = {output: node.op_type for node in model.graph.node for output in node.output}
-        file, found = OnnxGraph(model.graph), defaultdict(list)
+        file, uses = OnnxGraph(model.graph), defaultdict(list)
         for path, node in file.nodes.items():
             if path not in arguments:
                 continue  # replaced by something plainer, which has no weights
@@ -128,8 +128,8 @@ class TrainableWeights:
                 # Vectors may be whole numbers: biases begin as zeros, scales as ones.
                 fractions = values.ndim == 1 or bool((values != np.round(values)).any())
                 if np.issubdtype(values.dtype, np.floating) and fractions:
-                    found[self._owners.get(name, name)].append(use)
-        return found
+                    uses[self._owners.get(name, name)].append(use)
+        return uses
 
 
 def _places(
@@ -193,8 +193,8 @@ def _owners(graph: onnx.GraphProto) -> dict[str, str]:
 def _tensors(graph: onnx.GraphProto) -> dict[str, onnx.TensorProto]:
     """Weights of a graph by the names that nodes read them under."""
     constants = {node.output[0]: constant_of(node) for node in graph.node if node.op_type == "Constant"}
-    found = {name: value for name, value in constants.items() if value is not None}
-    return {tensor.name: tensor for tensor in graph.initializer} | found
+    tensors = {name: value for name, value in constants.items() if value is not None}
+    return {tensor.name: tensor for tensor in graph.initializer} | tensors
 
 
 def constant_of(node: onnx.NodeProto) -> onnx.TensorProto | None:

@@ -120,16 +120,16 @@ def read_architecture(where: str) -> dict:
             raise InputError(f"{where}: no such file, and ultralytics has none of that name (near: {near})")
         path = shipped[name]
     try:
-        found = yaml.safe_load(read_text(path, MAX_YAML_BYTES))
+        content = yaml.safe_load(read_text(path, MAX_YAML_BYTES))
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{where}: not YAML ({first_line(error)[:160]})") from None
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise InputError(f"{where}: describes no network (backbone, head, nc)")
-    if "scales" in found and match and "scale" not in found:
-        found["scale"] = match["scale"]
-    return found
+    if "scales" in content and match and "scale" not in content:
+        content["scale"] = match["scale"]
+    return content
 
 
 def build(architecture: dict, where: str) -> nn.Module:
@@ -229,8 +229,8 @@ def settle_batch_norm(model: nn.Module) -> None:
     model.float()
 
 
-def _settle(norm: nn.BatchNorm2d, given: tuple[Float[Tensor, "B C h w"]]) -> None:
-    (x,) = given
+def _settle(norm: nn.BatchNorm2d, inputs: tuple[Float[Tensor, "B C h w"]]) -> None:
+    (x,) = inputs
     norm.running_mean.copy_(x.mean(dim=(0, 2, 3)))
     # One for all channels: one that noise hardly reaches would be blown up by whatever does reach it in a photograph.
     norm.running_var.fill_(x.var(dim=(0, 2, 3), correction=0).mean())

@@ -97,13 +97,13 @@ def _understood(content: object, path: Path, digest: str) -> Checkpoint:
 
 def _model(content: object, path: Path) -> Record:
     """Find the model in a checkpoint: its averaged one where it has one, as those who run it take it."""
-    found = content
+    module = content
     if isinstance(content, dict):
-        found = content.get("ema") or content.get("model")
-    if isinstance(found, Record) and isinstance(found.state.get("_modules"), dict):
-        return found
+        module = content.get("ema") or content.get("model")
+    if isinstance(module, Record) and isinstance(module.state.get("_modules"), dict):
+        return module
     arrays = isinstance(content, dict) and any(isinstance(value, np.ndarray) for value in content.values())
-    if arrays or isinstance(found, dict):
+    if arrays or isinstance(module, dict):
         raise InputError(
             f"{path}: a state dict alone, which does not say what network it is for; "
             "give the checkpoint that ultralytics or YOLOv5 wrote (its 'model' is a whole model)"

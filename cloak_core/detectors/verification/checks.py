@@ -89,9 +89,9 @@ def shapes(subject: Subject) -> Finding:
     """Check shapes for one image and for several: boxes [B, N, 4], scores [B, N], float32, all finite."""
     wrong = []
     for images in (subject.few[:1], subject.few):
-        found = subject.detector(images)
-        count, boxes = len(images), found.scores.shape[1:]
-        for name, part in found._asdict().items():
+        detections = subject.detector(images)
+        count, boxes = len(images), detections.scores.shape[1:]
+        for name, part in detections._asdict().items():
             if part is None:
                 continue
             expected = (count, *boxes, 4) if name == "boxes" else (count, *boxes)
@@ -101,22 +101,24 @@ def shapes(subject: Subject) -> Finding:
                 wrong.append(f"{name} not finite")
             elif part.dtype not in (torch.float32, torch.bool, torch.int64):
                 wrong.append(f"{name} of type {part.dtype}")
-    return Finding(not wrong, "; ".join(wrong) or f"boxes {list(found.boxes.shape)}, scores {list(found.scores.shape)}")
+    return Finding(
+        not wrong, "; ".join(wrong) or f"boxes {list(detections.boxes.shape)}, scores {list(detections.scores.shape)}"
+    )
 
 
 @torch.no_grad()
 def ranges(subject: Subject) -> Finding:
     """Check that every probability lies in [0, 1], and that classes have names."""
-    found, ranges, passed = subject.detector(subject.few), [], True
+    detections, ranges, passed = subject.detector(subject.few), [], True
     for name in ("scores", "objectness", "other"):
-        values = getattr(found, name)
+        values = getattr(detections, name)
         if values is not None and values.numel():
             low, high = float(values.min()), float(values.max())
             passed &= low >= -ROUNDING and high <= 1 + ROUNDING
             ranges.append(f"{name} from {low:.3g} to {high:.3g}")
-    if found.other_class is not None and found.other_class.numel():
-        names, most = subject.detector.class_names, int(found.other_class.max())
-        passed &= int(found.other_class.min()) >= 0 and (names is None or most < len(names))
+    if detections.other_class is not None and detections.other_class.numel():
+        names, most = subject.detector.class_names, int(detections.other_class.max())
+        passed &= int(detections.other_class.min()) >= 0 and (names is None or most < len(names))
         ranges.append(f"other classes up to {most}{'' if names is None else f' of {len(names)}'}")
     return Finding(passed, ", ".join(ranges) or "no boxes at all")
 
@@ -124,8 +126,8 @@ def ranges(subject: Subject) -> Finding:
 @torch.no_grad()
 def sane_boxes(subject: Subject) -> Finding:
     """Check that boxes that matter have their corners in order and reach into the image."""
-    found, (height, width) = subject.detector(subject.few), subject.size
-    boxes = found.boxes[found.scores > CLEAR]
+    detections, (height, width) = subject.detector(subject.few), subject.size
+    boxes = detections.boxes[detections.scores > CLEAR]
     swapped = int(((boxes[:, 2] < boxes[:, 0]) | (boxes[:, 3] < boxes[:, 1])).sum())
     inside = (boxes[:, 2] > 0) & (boxes[:, 3] > 0) & (boxes[:, 0] < width) & (boxes[:, 1] < height)
     outside = int((~inside).sum())
@@ -161,8 +163,8 @@ def extremes(subject: Subject) -> Finding:
     for name, image in {"black": 0 * noise, "white": 0 * noise + 1, "noise": noise}.items():
         image = image.to(subject.detector.device)
         with torch.no_grad():
-            found = subject.detector(image)
-        parts = [part for part in found if part is not None and part.is_floating_point()]
+            detections = subject.detector(image)
+        parts = [part for part in detections if part is not None and part.is_floating_point()]
         if not all(bool(part.isfinite().all()) for part in parts):
             wrong.append(f"{name}: answers are not finite")
         elif subject.detector.differentiable and not bool(gradient_of(subject.sureness, image).isfinite().all()):
@@ -225,8 +227,8 @@ def parity(subject: Subject) -> Finding:
         together = subject.detector(images)
         for i, image in enumerate(images.split(1)):
             expected = subject.original(image)
-            for found in (subject.detector(image), row(together, i)):
-                worst = worst.joined(apart(found, expected, subject.size))
+            for detections in (subject.detector(image), row(together, i)):
+                worst = worst.joined(apart(detections, expected, subject.size))
     words = f"on {len(subject.images)} images, it and its original {worst}"
     return Finding(worst.same, words, {"parity_scores": worst.scores, "parity_boxes_px": worst.boxes_px})
 
@@ -243,8 +245,8 @@ def other_size(subject: Subject) -> Finding:
     usual, large = subject.detector(images), subject.detector(interpolate(images, scale_factor=2, mode="nearest"))
     grown = stayed = 0
     for i in range(len(images)):
-        if min(float(max_person_score(row(found, i))) for found in (usual, large)) > CLEAR:
-            before, after = (found.boxes[i, found.scores[i].argmax()] for found in (usual, large))
+        if min(float(max_person_score(row(detections, i))) for detections in (usual, large)) > CLEAR:
+            before, after = (detections.boxes[i, detections.scores[i].argmax()] for detections in (usual, large))
             grown += float(box_iou(after, 2 * before)) > SAME_BOX
             stayed += float(box_iou(after, before)) > SAME_BOX
     words = f"twice as large: of {len(images)} best boxes {grown} grow with the image, {stayed} stay as they were"
@@ -291,6 +293,6 @@ def _uphill(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Float[Tenso
     return gradient_of(lambda pixels: max_person_score(detector(pixels)).clamp(min=1e-30).log().sum(), images)
 
 
-def row(found: Detections, index: int) -> Detections:
+def row(detections: Detections, index: int) -> Detections:
     """Take the detections of one of several images."""
-    return found.each(lambda part: part[index : index + 1])
+    return detections.each(lambda part: part[index : index + 1])

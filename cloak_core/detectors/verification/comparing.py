@@ -58,11 +58,13 @@ def apart(some: Detections, others: Detections, size: tuple[int, int]) -> Apart:
     Row by row where that agrees, else every clear row and the one most like it on the other side. Persons first, then
     other classes; infinite where one side alone tells of these.
     """
-    persons = _rows_apart(*(_rows(found.boxes, found.scores, size) for found in (some, others)))
+    persons = _rows_apart(*(_rows(detections.boxes, detections.scores, size) for detections in (some, others)))
     if some.other is None or others.other is None:
         return persons if some.other is others.other else Apart(math.inf, math.inf)
     return persons.joined(
-        _rows_apart(*(_rows(found.boxes, found.other, size, found.other_class) for found in (some, others)))
+        _rows_apart(
+            *(_rows(detections.boxes, detections.other, size, detections.other_class) for detections in (some, others))
+        )
     )
 
 

@@ -166,14 +166,14 @@ def _open_folder(folder: Path, size: tuple[int, int]) -> Backgrounds:
     bad: list[InputError] = []
     ready: list[np.ndarray] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-        for file, found in zip(files, pool.map(read, files), strict=True):
-            if isinstance(found, InputError):
-                _log.warning("%s; skipped", found)
-                bad.append(found)
+        for file, opened in zip(files, pool.map(read, files), strict=True):
+            if isinstance(opened, InputError):
+                _log.warning("%s; skipped", opened)
+                bad.append(opened)
                 continue
-            good.append((file, found[1]))
+            good.append((file, opened[1]))
             if len(ready) < room:
-                ready.append(found[0])
+                ready.append(opened[0])
     if not good:
         one = str(bad[0]).removeprefix(f"{folder}{os.sep}")
         raise InputError(f"{folder}: none of its {len(files)} images can be read ({one})")

@@ -171,14 +171,14 @@ def _widened(
     away, nearest = distance_transform_edt(inside < 0, return_indices=True)
     near = mask & (away <= REACH["garment"] * height)
     part = np.bincount(segment[inside[tuple(nearest[:, near])]], minlength=len(SEGMENTS))
-    found = dict(widths)
+    wider = dict(widths)
     for pair in WIDENED:
         numbers = [NUMBER[name] for name in pair]
         if body[numbers].sum() < LEAST_SEEN:
             continue
         for name in pair:
-            found[name] = float(np.clip(found.get(name, 1.0) * part[numbers].sum() / body[numbers].sum(), *WIDTHS))
-    return found
+            wider[name] = float(np.clip(wider.get(name, 1.0) * part[numbers].sum() / body[numbers].sum(), *WIDTHS))
+    return wider
 
 
 def _drawn(person: Person, mask: Bool[np.ndarray, "h w"], posed: Posed, view: View, rig: Rig) -> Fit:
@@ -250,9 +250,9 @@ def _largest(crow: np.ndarray, share: np.ndarray) -> np.ndarray:
     """The entry with the largest share of each row; rows are not empty."""
     row = np.repeat(np.arange(len(crow) - 1), np.diff(crow))
     largest = np.flatnonzero(share == np.maximum.reduceat(share, crow[:-1])[row])
-    found = np.empty(len(crow) - 1, np.int64)
-    found[row[largest]] = largest  # the last of equal ones
-    return found
+    position = np.empty(len(crow) - 1, np.int64)
+    position[row[largest]] = largest  # the last of equal ones
+    return position
 
 
 def _landmark_error(posed: Posed, rig: Rig, landmarks: Landmarks, height: Number) -> dict[str, float]:

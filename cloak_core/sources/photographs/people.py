@@ -70,7 +70,7 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
     are not opened, the others again when somebody is drawn. `InputError` names annotation and file for whatever is
     broken or does not fit the picture.
     """
-    found: list[Person] = []
+    people: list[Person] = []
     left_out: Counter[str] = Counter()
     seen: set[str] = set()
     files = _files(str(spec))
@@ -83,11 +83,11 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
                 left_out["listed twice"] += 1
                 continue
             seen.add(person.identity)
-            found.append(person)
-    if not found:
+            people.append(person)
+    if not people:
         reasons = ", ".join(f"{reason} {count}" for reason, count in left_out.items()) or "no annotation"
         raise InputError(f"{spec}: nobody in it can be dressed ({reasons})")
-    return People(tuple(found), dict(left_out), Path(split_selection(files[0])[0]).stem)
+    return People(tuple(people), dict(left_out), Path(split_selection(files[0])[0]).stem)
 
 
 def _files(spec: str) -> list[str]:
@@ -133,18 +133,18 @@ def _read_file(spec: str, images: str | os.PathLike | None) -> tuple[list[Person
         Entry(image, of_image.get(repr(image.get("id")), []), licences.get(image.get("license"), ""))
         for image in listed
     )
-    found: list[Person] = []
+    people: list[Person] = []
     left_out: Counter[str] = Counter()
     disordered: list[str] = []
     for what, person in Reader(path, folders).people(entries):
         if isinstance(person, Person):
-            found.append(person)
+            people.append(person)
         else:
             left_out[person] += 1
             disordered += [what] * (person == "not upright")
-    if len(disordered) > len(found):  # few people stand on their heads
+    if len(disordered) > len(people):  # few people stand on their heads
         raise InputError(
             f"{disordered[0]}: keypoints of another order? shoulders, hips, knees and ankles do not follow each other "
-            f"downwards, in {len(disordered)} of {len(disordered) + len(found)} people"
+            f"downwards, in {len(disordered)} of {len(disordered) + len(people)} people"
         )
-    return found, left_out
+    return people, left_out

@@ -67,7 +67,7 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
     scale = _pixels_per_metre(landmarks, seen, rig)
     at = _joints_in_view(landmarks, seen, rig, scale)
     middle = lambda joints, name: (joints[f"l_{name}"] + joints[f"r_{name}"]) / 2
-    found: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    frames: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
     turned: dict[str, np.ndarray] = {}
     along = middle(at, "shoulder") - middle(at, "hip")
     rest_along = middle(rig.joints, "shoulder") - middle(rig.joints, "hip")
@@ -79,7 +79,7 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
         turned[segment] = np.stack([np.cross(up, ahead), up, ahead], axis=1)
         width = widths.get(segment, 1.0)
         columns = (across / rest_across * width, along / rest_along[1], ahead * scale * width)
-        found[segment] = (np.stack(columns, axis=1), middle(at, joint), middle(rig.joints, joint))
+        frames[segment] = (np.stack(columns, axis=1), middle(at, joint), middle(rig.joints, joint))
     for side in "lr":
         parent = {"arm": "chest", "forearm": f"{side}_arm", "thigh": "pelvis", "shin": f"{side}_thigh"}
         for limb, (start, end) in LIMBS.items():
@@ -92,16 +92,16 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
             axis = np.outer(unit(rest), unit(rest))
             length = np.linalg.norm(posed) / np.linalg.norm(rest)
             stretched = scale * widths.get(name, 1.0) * (np.eye(3) - axis) + length * axis
-            found[name] = (turned[name] @ stretched, at[f"{side}_{start}"], rig.joints[f"{side}_{start}"])
+            frames[name] = (turned[name] @ stretched, at[f"{side}_{start}"], rig.joints[f"{side}_{start}"])
         for part, end, turn in (
             ("hand", "wrist", _hand(landmarks, seen, at, rig, side, turned[f"{side}_forearm"])),
             ("foot", "ankle", _foot(landmarks, seen, side, turned["pelvis"], scale)),
         ):
-            found[f"{side}_{part}"] = (turn * scale, at[f"{side}_{end}"], rig.joints[f"{side}_{end}"])
-    found["head"] = _head(landmarks, seen, rig, turned["chest"], found["chest"], scale)
+            frames[f"{side}_{part}"] = (turn * scale, at[f"{side}_{end}"], rig.joints[f"{side}_{end}"])
+    frames["head"] = _head(landmarks, seen, rig, turned["chest"], frames["chest"], scale)
     transforms = np.zeros((len(SEGMENTS), 3, 4))
     for number, segment in enumerate(SEGMENTS):
-        matrix, place, origin = found[segment]
+        matrix, place, origin = frames[segment]
         transforms[number, :, :3], transforms[number, :, 3] = matrix, place - matrix @ origin
     return Posed(transforms, scale)
 

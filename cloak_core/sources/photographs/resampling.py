@@ -227,19 +227,19 @@ def _spread(upstream, y_first, y_weight, x_first, x_weight, result):
     """upstream: [h, w, 3]; result: [H, W * 3], zeros. The transpose of `_resample`: across first, then down."""
     low, high = 3 * x_first.min(), 3 * (x_first.max() + x_weight.shape[1])
     lines = np.empty((result.shape[1], _TOGETHER), np.float32)
-    given = np.zeros((3, _TOGETHER), np.float32)
+    gradient = np.zeros((3, _TOGETHER), np.float32)
     for start in range(0, len(y_first), _TOGETHER):
         count = min(_TOGETHER, len(y_first) - start)
         lines[low:high] = 0
         for x in range(len(x_first)):
             for k in range(count):
                 for channel in range(3):
-                    given[channel, k] = upstream[start + k, x, channel]
+                    gradient[channel, k] = upstream[start + k, x, channel]
             for tap in range(x_weight.shape[1]):
                 part, first = x_weight[x, tap], 3 * (x_first[x] + tap)
                 for channel in range(3):
                     for k in range(_TOGETHER):
-                        lines[first + channel, k] += part * given[channel, k]
+                        lines[first + channel, k] += part * gradient[channel, k]
         for k in range(count):
             for tap in range(y_weight.shape[1]):
                 part = y_weight[start + k, tap]

@@ -97,8 +97,8 @@ def faces_on_rig(topology: str) -> Int64[np.ndarray, " T"]:
         face = np.full(samples.face_count, -1)
         # The shirt hangs over the trousers, and both lie over the skin that they were cut from.
         for owner in (OBJECTS.index("body"), OBJECTS.index("trousers"), OBJECTS.index("shirt")):
-            mine = np.flatnonzero(data["owner"] == owner)
-            face[data["source_face"][mine]] = mine
+            owned = np.flatnonzero(data["owner"] == owner)
+            face[data["source_face"][owned]] = owned
         return np.repeat(face, 2)
     raise InputError(
         f"topology {topology}: people in photographs wear logos of the sample bodies, of the clothed people and of "
@@ -129,13 +129,13 @@ def _joints(data: dict[str, np.ndarray], rest: np.ndarray, weights: np.ndarray) 
     def shared(one: int, other: int, segments: tuple[str, str]) -> np.ndarray:
         ring = weights[:, NUMBER[segments[0]]] * weights[:, NUMBER[segments[1]]]
         guess = ring @ rest / ring.sum()
-        found = []
+        pairs = []
         for number in range(int(person.max()) + 1):
-            mine = bones[person == number]
-            turned = (mine[:, one, :, :3] - mine[:, other, :, :3]).reshape(-1, 3)
-            away = (mine[:, other, :, 3] - mine[:, one, :, 3]).reshape(-1)
-            found.append(guess + np.linalg.lstsq(turned, away - turned @ guess, rcond=0.1)[0])
-        return np.mean(found, axis=0)
+            person_bones = bones[person == number]
+            turned = (person_bones[:, one, :, :3] - person_bones[:, other, :, :3]).reshape(-1, 3)
+            away = (person_bones[:, other, :, 3] - person_bones[:, one, :, 3]).reshape(-1)
+            pairs.append(guess + np.linalg.lstsq(turned, away - turned @ guess, rcond=0.1)[0])
+        return np.mean(pairs, axis=0)
 
     head = weights[:, NUMBER["head"]] > 0.5
     joints = {"neck": shared(45, 98, ("chest", "head"))}

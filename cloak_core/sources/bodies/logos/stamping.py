@@ -154,15 +154,15 @@ def sized_stamp(
     make: `project_text` or `project_mask` but for the height, metres. InputError: no such stamp fits.
     """
     low, high = 0.0, 1.0
-    found = []
+    sizes = []
     for _ in range(14):
         height = (low + high) / 2
         reached = 0.0
         with contextlib.suppress(InputError):  # too small to cover the centre of any face
             ids = make(height=height)
             reached = area_share(bodies, ids)
-            found.append((abs(reached - target), ids))
+            sizes.append((abs(reached - target), ids))
         low, high = (height, high) if reached < target else (low, height)
-    if not found:
+    if not sizes:
         raise InputError(f"scene '{bodies.name}': no stamp of {target:.1%} of its area fits on the chest")
-    return min(found, key=lambda pair: pair[0])[1]
+    return min(sizes, key=lambda pair: pair[0])[1]
