@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from cloak_core.core.evaluation.controls import NATURAL
+from cloak_core.core.evaluation import NATURAL
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.view import BakedView

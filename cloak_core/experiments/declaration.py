@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation import CLOTHING
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.statistics import THRESHOLDS
 from cloak_core.core.pattern import Pattern

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from cloak_core.core.evaluation.controls import LOGO
+from cloak_core.core.evaluation import LOGO
 from cloak_core.core.pictures import open_picture
 from cloak_core.experiments.runner import experiments, finished
 from cloak_core.files.reading import read_json

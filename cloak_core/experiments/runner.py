@@ -13,8 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 from cloak_core import __version__
-from cloak_core.core.evaluation import statistics
-from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation import CLOTHING, statistics
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.logo import area_share, chest_thighs
 from cloak_core.core.pictures import save_picture

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from cloak_core.core.evaluation.controls import CLOTHING, NAMES, NATURAL, RESAMPLED, STANDARD
+from cloak_core.core.evaluation import CLOTHING, NAMES, NATURAL, RESAMPLED, STANDARD
 from cloak_core.core.geometry import face_centres
 from cloak_core.core.linear import SparseMap
 from cloak_core.core.pattern import Pattern

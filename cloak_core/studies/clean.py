@@ -18,7 +18,7 @@ from torch import Tensor
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation import CLOTHING
 from cloak_core.core.evaluation.measure import batches, measure
 from cloak_core.core.evaluation.results import NOBODY
 from cloak_core.core.evaluation.settings import WearSettings

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluate import Patterns, headline, identity
 from cloak_core.core.evaluate import evaluate as measure
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO, RESAMPLED
+from cloak_core.core.evaluation import CLOTHING, LOGO, RESAMPLED
 from cloak_core.core.evaluation.measure import OnProgress, check_asked
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.settings import EvaluateSettings, WearSettings

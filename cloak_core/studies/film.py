@@ -14,7 +14,7 @@ from jaxtyping import Float32
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluate import Patterns
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.measure import OnProgress, check_asked, kept_frozen, measure
 from cloak_core.core.evaluation.settings import MOST_FRAMES, FilmSettings
 from cloak_core.core.evaluation.trials import make_trials

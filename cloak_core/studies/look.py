@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation import CLOTHING
 from cloak_core.core.images import ImageSet, dressed
 from cloak_core.core.logo import Cover, load_logo
 from cloak_core.core.pattern import Pattern

@@ -15,7 +15,7 @@ from jaxtyping import Int64
 
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.evaluate import Patterns, identity, measure_frozen
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO, RESAMPLED, STANDARD
+from cloak_core.core.evaluation import CLOTHING, LOGO, RESAMPLED, STANDARD
 from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.evaluation.results import Results, pool, read_results
 from cloak_core.core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings

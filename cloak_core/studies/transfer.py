@@ -20,7 +20,7 @@ from jaxtyping import Int64
 
 from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import state_hash
-from cloak_core.core.evaluation.controls import LOGO, STANDARD
+from cloak_core.core.evaluation import LOGO, STANDARD
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.statistics import (
     by_training,

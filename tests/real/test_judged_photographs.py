@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.settings import EvaluateSettings, JudgeSettings
 from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.core.images import ImageSet

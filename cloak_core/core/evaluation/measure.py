@@ -15,7 +15,7 @@ from cloak_core.core.detector import IOU, THRESHOLD
 from cloak_core.core.detector.outcomes import OnBody, class_name, classes_above, without_classes
 from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.core.detector.scoring import box_iou, max_person_score, person_boxes
-from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation import CLOTHING
 from cloak_core.core.evaluation.precision import MOST_BOXES, first_hits
 from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, Results, make_results
 from cloak_core.core.images import ImageSet, Indices

@@ -18,7 +18,7 @@ import pandas as pd
 from jaxtyping import Float32
 from pandas.api.types import is_numeric_dtype
 
-from cloak_core.core.evaluation.controls import CLOTHING, STANDARD
+from cloak_core.core.evaluation import CLOTHING, STANDARD
 from cloak_core.core.evaluation.trials import COLUMNS, complete
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_npz

@@ -13,7 +13,7 @@ from tyro.conf import Suppress, UseAppendAction
 
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector import IOU, THRESHOLD
-from cloak_core.core.evaluation.controls import NAMES, STANDARD
+from cloak_core.core.evaluation import NAMES, STANDARD
 from cloak_core.core.evaluation.intervals import RESAMPLES
 from cloak_core.core.settings import Preset, check_settings
 from cloak_core.core.settings.values import Angles, Bounds, Positive

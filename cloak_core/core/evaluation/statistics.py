@@ -15,7 +15,7 @@ import pandas as pd
 from jaxtyping import Bool, Shaped
 
 from cloak_core.core.detector import THRESHOLD
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.intervals import RESAMPLES, Rate, clustered_rate
 from cloak_core.core.evaluation.precision import OVERLAPS, average_precision
 from cloak_core.core.evaluation.results import NOBODY, Results

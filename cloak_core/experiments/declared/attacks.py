@@ -6,7 +6,7 @@ import torch
 from PIL import Image, ImageDraw, ImageOps
 
 from cloak_core.core.detector import THRESHOLD
-from cloak_core.core.evaluation.controls import STANDARD
+from cloak_core.core.evaluation import STANDARD
 from cloak_core.core.logo import chest_thighs, shirt_trousers
 from cloak_core.experiments.declaration import (
     MULTI,

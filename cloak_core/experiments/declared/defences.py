@@ -13,8 +13,7 @@ from jaxtyping import Float
 
 from cloak_core.core.black_box import queries_after
 from cloak_core.core.detector import THRESHOLD
-from cloak_core.core.evaluation import statistics
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO, STANDARD
+from cloak_core.core.evaluation import CLOTHING, LOGO, STANDARD, statistics
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.logo import Cover, chest_thighs, shirt_trousers
 from cloak_core.detectors.defended.detector import defend

@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 
 from cloak_core.core.evaluate import Patterns
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.statistics import training_row
 from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import chest_thighs

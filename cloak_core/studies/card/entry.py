@@ -17,7 +17,7 @@ import pandas as pd
 from PIL import Image
 
 from cloak_core.core.evaluate import bare_backgrounds
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import NOBODY, TRUE_BOX, Results, pool, read_results
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.trials import COLUMNS, draw_trials

@@ -17,7 +17,7 @@ import pandas as pd
 from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluate import MEASUREMENT_VERSION
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.intervals import Rate, wilson
 from cloak_core.core.evaluation.precision import OVERLAPS, average_precision
 from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, NOBODY, TRUE_BOX, Results, make_results, pool

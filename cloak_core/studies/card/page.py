@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import NOBODY, Results
 from cloak_core.core.evaluation.statistics import hidden
 from cloak_core.core.pattern import Pattern

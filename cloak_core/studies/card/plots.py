@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from matplotlib.figure import Figure
 
 from cloak_core.core.detector import THRESHOLD
-from cloak_core.core.evaluation.controls import CLOTHING
+from cloak_core.core.evaluation import CLOTHING
 from cloak_core.studies.card.words import name_of
 from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows, rated
 from cloak_core.studies.report.style import SERIES, WIDTH

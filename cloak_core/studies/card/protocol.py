@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64
 
-from cloak_core.core.evaluation.controls import CLOTHING, NATURAL
+from cloak_core.core.evaluation import CLOTHING, NATURAL
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.core.logo import chest_thighs, front_faces, shirt_trousers

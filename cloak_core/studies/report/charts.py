@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from cloak_core.core.detector import THRESHOLD
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_bytes
 from cloak_core.files.specs import without_folders

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.detector.scoring import max_person_score, person_boxes
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.statistics import hidden, share
 from cloak_core.core.evaluation.trials import complete

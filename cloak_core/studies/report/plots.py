@@ -10,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cloak_core.core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import Results
 from cloak_core.core.evaluation.statistics import hidden_rate, rate_row, share
 from cloak_core.studies.report.charts import Bars, Lines, Rows, rated

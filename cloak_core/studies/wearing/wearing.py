@@ -14,7 +14,7 @@ from torch import Tensor
 
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.evaluate import Patterns, measure_frozen
-from cloak_core.core.evaluation.controls import CLOTHING, NAMES, RESAMPLED, STANDARD
+from cloak_core.core.evaluation import CLOTHING, NAMES, RESAMPLED, STANDARD
 from cloak_core.core.evaluation.measure import OnProgress, check_asked, measure
 from cloak_core.core.evaluation.results import CORNERS, NOBODY, Results
 from cloak_core.core.evaluation.settings import WearSettings
