@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from cloak_core.core.logo import Logo, load_logo, make_logo
     from cloak_core.core.settings import TrainSettings, make_settings
     from cloak_core.core.training import RunResult
-    from cloak_core.detectors.loading import load_detector
+    from cloak_core.detectors.loading import as_detector, load_detector
     from cloak_core.detectors.maite import SuccessMetric
-    from cloak_core.detectors.objects import as_detector
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
     from cloak_core.library.evaluation import evaluate
@@ -73,7 +72,7 @@ _PLACES = {
     "RunResult": "core.training:RunResult",
     "SuccessMetric": "detectors.maite:SuccessMetric",
     "TrainSettings": "core.settings:TrainSettings",
-    "as_detector": "detectors.objects:as_detector",
+    "as_detector": "detectors.loading:as_detector",
     "evaluate": "library.evaluation:evaluate",
     "film": "library.filming:film",
     "load_backgrounds": "sources.backdrops.backgrounds:load_backgrounds",

@@ -24,8 +24,7 @@ from ..body.garments import is_dressed, undress
 from ..body.objects import ASSETS, active_body, add_people, body_reason, logo_reason, of_the_body
 from ..exchange.bodies import Bodies
 from ..exchange.cloth import CLOTH_FILE, corner_uv
-from ..exchange.colors import write_colors
-from ..exchange.face_lists import read_face_list
+from ..exchange.face_lists import read_face_list, write_colors
 from ..exchange.scenes import read_scene
 from ..files.reading import read_json
 from ..files.writing import new_folder, write_json, written
@@ -238,7 +237,7 @@ and sides are projected, as the trainer lays a cloth"""
 
 
 def _ours() -> list[bpy.types.UserAssetLibrary]:
-    return [found for found in bpy.context.preferences.filepaths.asset_libraries if Path(found.path) == LIBRARY]
+    return [library for library in bpy.context.preferences.filepaths.asset_libraries if Path(library.path) == LIBRARY]
 
 
 def register() -> None:

@@ -25,8 +25,7 @@ from ..body.garments import pieces_of
 from ..body.objects import object_of, refusal, require_body, scene_axes
 from ..exchange.bodies import Bodies
 from ..exchange.cloth import CLOTH_FILE, cloth_metres, corner_uv
-from ..exchange.colors import read_colors
-from ..exchange.face_lists import read_face_list
+from ..exchange.face_lists import read_colors, read_face_list
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..files.reading import read_json

@@ -29,7 +29,7 @@ from torch import Tensor
 from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
 from cloak_core.bench.measuring import check_counts, clock, machine, timed, with_earlier
 from cloak_core.bench.peers import PeerViewCache, available, usable
-from cloak_core.bench.reference import EXACT, Matrix, Reference, matrix_of, reference
+from cloak_core.bench.reference import EXACT, Reference, ReferenceMatrix, matrix_of, reference
 from cloak_core.bench.views import cached_render
 from cloak_core.core.view import CrowdedPixels
 from cloak_core.core.visibility.settings import GRIDS, Light, RenderSettings
@@ -179,18 +179,18 @@ class Judge:
             "given_up": float(given_up),
         }
 
-    def _matrix(self, cache: ViewCache) -> Matrix:
+    def _matrix(self, cache: ViewCache) -> ReferenceMatrix:
         return matrix_of(cache.build([(0, self.camera)])[0], self.exact.face_count)
 
-    def _image_rms(self, ours: Matrix, exact: Matrix) -> float:
+    def _image_rms(self, ours: ReferenceMatrix, exact: ReferenceMatrix) -> float:
         return self._rms(ours, ours.image(self.colors, self.black) - exact.image(self.colors, self.black))
 
-    def _rms(self, ours: Matrix, difference: Tensor) -> float:
+    def _rms(self, ours: ReferenceMatrix, difference: Tensor) -> float:
         """Compute the root mean square over the pixels of the body."""
         body = (self.exact.coverage > 0) | (ours.coverage > 0)
         return float(difference[body].double().pow(2).mean().sqrt())
 
-    def _hidden(self, areas: Matrix) -> float:
+    def _hidden(self, areas: ReferenceMatrix) -> float:
         """Compute the share of the weight that lies where nothing of its face is seen."""
         entries, truth = (m.pixel * m.face_count + m.face for m in (areas, self.areas))
         weight = areas.weight.double()

@@ -45,7 +45,7 @@ DEVICE = "cuda"
 
 
 @dataclass(frozen=True)
-class Material:
+class BenchMaterial:
     """What parts measure with."""
 
     bodies: Bodies
@@ -82,7 +82,7 @@ def count_operations(samples: int | None = 1, triangles: int = 3000) -> int:
     return operations.counts.total()
 
 
-def _launches(material: Material) -> dict:
+def _launches(material: BenchMaterial) -> dict:
     """Kernels that a new view launches, as the profiler sees them."""
     launches = {}
     for samples in (1, 4):
@@ -95,7 +95,7 @@ def _launches(material: Material) -> dict:
     return launches
 
 
-def _plain(material: Material) -> dict:
+def _plain(material: BenchMaterial) -> dict:
     """The same of views by torch's operations alone, without Triton kernels."""
     with triton_kernels(wanted=False):
         wrong, _ = compare_with_cpu()
@@ -106,7 +106,7 @@ def _plain(material: Material) -> dict:
         }
 
 
-def _step(material: Material) -> dict:
+def _step(material: BenchMaterial) -> dict:
     """A step with kept views, with fresh ones, and with people where there are any."""
     bodies, backgrounds = load_scene("sample:train"), load_backgrounds("procedural:train")
     detectors = [load_detector("builtin", device=DEVICE)]
@@ -121,7 +121,7 @@ def _step(material: Material) -> dict:
     return steps
 
 
-PARTS: dict[str, Callable[[Material], dict]] = {
+PARTS: dict[str, Callable[[BenchMaterial], dict]] = {
     # Hard cases and views against the CPU's, which `cloak bench stability` holds to exact arithmetic.
     "bits": lambda material: {"against_cpu": compare_with_cpu()[0]},
     "views": lambda material: run_bench_views(material.bodies, device=DEVICE),
@@ -155,7 +155,7 @@ def run_bench_gpu(
     }
     if is_there:
         bodies = sphere(TRIANGLES) if scene is None else load_scene(scene)
-        material = Material(bodies, people, images)
+        material = BenchMaterial(bodies, people, images)
     for name in in_turn(tuple(PARTS) if is_there else (), str, tell):
         try:
             record["measured"][name] = PARTS[name](material)

@@ -84,7 +84,7 @@ FINER = (8, 4, 2, 1)
 
 
 @dataclass(frozen=True, eq=False)
-class Matrix:
+class ReferenceMatrix:
     """A view as entries (pixel, face, weight), with the pixels' coverage and highlight; all on the CPU."""
 
     pixel: Int64[Tensor, " E"]
@@ -107,7 +107,7 @@ class Matrix:
         return result.index_add_(0, self.face, self.weight.double().unsqueeze(1) * upstream.double()[self.pixel])
 
 
-def matrix_of(view: View, face_count: int) -> Matrix:
+def matrix_of(view: View, face_count: int) -> ReferenceMatrix:
     """Make the matrix of a view."""
     on_pixels = view.pixels.cpu()
     entries = view.map.to("cpu")
@@ -115,15 +115,15 @@ def matrix_of(view: View, face_count: int) -> Matrix:
     coverage, specular = (
         torch.zeros(pixels).index_copy_(0, on_pixels, t.cpu()) for t in (view.coverage, view.specular)
     )
-    return Matrix(on_pixels[entries.row], entries.column, entries.weight, coverage, specular, face_count)
+    return ReferenceMatrix(on_pixels[entries.row], entries.column, entries.weight, coverage, specular, face_count)
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
     """A view as it should be."""
 
-    matrix: Matrix
-    areas: Matrix
+    matrix: ReferenceMatrix
+    areas: ReferenceMatrix
     """Without light: weights are shares of pixels, and there is no highlight."""
     visible: Float64[Tensor, " F"]
     """Pixels of each face that are visible."""
@@ -154,7 +154,7 @@ def reference(bodies: Bodies, camera: Camera, light: Light) -> Reference:
     pixel = entry // bodies.triangle_count
     face = torch.from_numpy(bodies.triangle_face.astype(np.int64))[entry % bodies.triangle_count]
     coverage, specular = (_sums(pixel, t, camera.height * camera.width) for t in (area, highlight))
-    matrix = Matrix(pixel, face, weight, coverage, specular, bodies.face_count)
+    matrix = ReferenceMatrix(pixel, face, weight, coverage, specular, bodies.face_count)
     areas = replace(matrix, weight=area, specular=torch.zeros_like(coverage))
     return Reference(matrix, areas, _sums(face, area, bodies.face_count))
 

@@ -220,14 +220,14 @@ def run_or_refuse(command: list[str]) -> str:
     for line in process.stdout:
         lines.append(line)
         err.print(line.rstrip())
-    said = "".join(lines)
+    output = "".join(lines)
     if process.wait():
         for pattern, words in _DIAGNOSES:
-            if match := re.search(pattern, said):
+            if match := re.search(pattern, output):
                 raise InputError(f"setup: {words.format(what=match.groupdict().get('what') or 'package')}")
         last = next((line.strip() for line in reversed(lines) if line.strip()), f"exit code {process.returncode}")
         raise InputError(f"setup: {last}")
-    return said
+    return output
 
 
 _DIAGNOSES = (

@@ -18,7 +18,7 @@ from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.studies.hardening.settings import HardenSettings
 
 if TYPE_CHECKING:
-    from cloak_core.studies.hardening.hardening import Material
+    from cloak_core.studies.hardening.hardening import HardenMaterial
     from cloak_core.studies.hardening.student import Student
 
 
@@ -54,7 +54,7 @@ class Harden(Photographed, Computing):
     def run(self) -> dict:
         from cloak_core.detectors.naming import full_spec
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
-        from cloak_core.studies.hardening.hardening import Material, harden
+        from cloak_core.studies.hardening.hardening import HardenMaterial, harden
         from cloak_core.studies.hardening.pictures import check_places
         from cloak_core.studies.hardening.students import open_student
 
@@ -69,7 +69,7 @@ class Harden(Photographed, Computing):
         if not self.backgrounds.startswith("procedural"):
             check_places(backgrounds, student.teacher, self.settings.size, self.backgrounds)
         photographs = None if self.photos is None else load_backgrounds(self.photos)
-        material = Material(bodies, backgrounds, photographs, self.cast())
+        material = HardenMaterial(bodies, backgrounds, photographs, self.cast())
         settings = self._planned(student, material)
         with TrainingProgress(label="hardening") as progress:
             result = harden(settings, student, material, self.out, resume=self.resume, on_event=progress)
@@ -86,7 +86,7 @@ class Harden(Photographed, Computing):
         }
         return record | ({"stopped": stopped} if stopped else {})
 
-    def _planned(self, student: Student, material: Material) -> HardenSettings:
+    def _planned(self, student: Student, material: HardenMaterial) -> HardenSettings:
         """Settings with the counts that --hours asks for; those of the record where a hardening goes on."""
         from cloak_core.studies.hardening.planning import measure_pace, plan, recorded_plan
 

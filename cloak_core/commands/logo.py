@@ -166,7 +166,7 @@ class Transfer(Command):
 
     def run(self) -> dict:
         from cloak_core.core.logo import load_logo
-        from cloak_core.exchange.colors import read_colors, write_colors
+        from cloak_core.exchange.face_lists import read_colors, write_colors
         from cloak_core.products.transfer import transfer_logo
         from cloak_core.zoo.entry import run_path
 

@@ -238,7 +238,7 @@ _OTHER_HALF = {"0::2": "1::2", "::2": "1::2", "1::2": "0::2"}
 
 def _other_people(people: str) -> str | None:
     """Name the photographs that `people` leaves out of its file, where they can be told from it; None: nobody."""
-    from cloak_core.sources.bodies.selection import split_selection
+    from cloak_core.files.specs import split_selection
 
     file, selection = split_selection(people)
     return f"{file}[{_OTHER_HALF[selection]}]" if selection in _OTHER_HALF else None

@@ -18,7 +18,7 @@ from cloak_core.core.settings.components import Hide
 from cloak_core.files.errors import InputError, Stopped
 
 if TYPE_CHECKING:
-    from cloak_core.studies.transfer import Matrix
+    from cloak_core.studies.transfer import TransferMatrix
 
 
 CIRCLE_IMAGES = 240
@@ -109,10 +109,10 @@ class Transfer(Splitting, Detecting, Sharing):
             for group in groups
         ]
 
-    def _matrix(self) -> Matrix:
+    def _matrix(self) -> TransferMatrix:
         from cloak_core.core.evaluation.settings import StoreOptions
         from cloak_core.studies.store import RunStore
-        from cloak_core.studies.transfer import CIRCLE, FRONT, PHOTOGRAPHS, Matrix, families
+        from cloak_core.studies.transfer import CIRCLE, FRONT, PHOTOGRAPHS, TransferMatrix, families
 
         started = time.monotonic()
         if self.circle and self.people:
@@ -135,7 +135,7 @@ class Transfer(Splitting, Detecting, Sharing):
             training["detectors_per_step"] = self.detectors_per_step
         if self.most_images or self.circle:
             test["most_images"] = self.most_images or CIRCLE_IMAGES
-        return Matrix(
+        return TransferMatrix(
             store=RunStore(split, options, err.print),
             faces=self._faces(split.bodies),
             logo=Path(self.logo).stem,

@@ -22,8 +22,7 @@ from cloak_core.core.loop import LoopFolder
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.run_config import changes_around, check_same, read_config, write_config
 from cloak_core.exchange.cloth import CLOTH_FILE
-from cloak_core.exchange.colors import write_colors
-from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.exchange.face_lists import write_colors, write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import remove_all_leftovers, written
 

@@ -6,10 +6,12 @@ So what we compute follows from what is given.
 from __future__ import annotations
 
 import contextlib
+import copy
 import threading
 from collections.abc import Iterator
 
 import torch
+from torch import nn
 
 from cloak_core.files.errors import InputError, first_line
 
@@ -60,3 +62,25 @@ def _float32() -> Iterator[None]:
             before = _calls.pop()
             if not _calls:
                 torch.set_default_dtype(before)
+
+
+def is_foreign(module: nn.Module) -> bool:
+    """Tell whether images in float32 and their gradients do not go through a module: it was made in inference mode, or
+    where float64 is the default."""
+    of_numbers = any(parameter.dtype == torch.float64 for parameter in module.parameters())
+    return of_numbers or any(t.is_inference() for t in (*module.parameters(), *module.buffers()))
+
+
+def copied(module: nn.Module) -> nn.Module:
+    """Copy a module; what was made where float64 is the default is float32 then. InputError: it cannot be copied."""
+    try:
+        made = copy.deepcopy(module)
+    except Exception as error:  # modules fail to be copied in their own ways
+        name = type(module).__name__
+        raise InputError(
+            f"detectors: {name} cannot be copied ({first_line(error)}): wrap it in one that can"
+        ) from error
+    for tensor in (*made.parameters(), *made.buffers()) if is_foreign(made) else ():
+        if tensor.dtype == torch.float64:
+            tensor.data = tensor.data.float()
+    return made

@@ -36,7 +36,7 @@ from cloak_core.files.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class TrainingJob:
     """One training."""
 
     settings: TrainSettings
@@ -55,7 +55,7 @@ class Job:
     """The record of all that decides the result, for the run folder."""
 
 
-def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, world: World) -> RunResult:
+def run_training(job: TrainingJob, out: Path, resume: bool, on_event: OnEvent | None, world: World) -> RunResult:
     """Train into the run folder `out`, in each process of `world`. InputError: the folder, a detector that changed."""
     settings = job.settings
     pattern = job.pattern
@@ -90,7 +90,7 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
     return result
 
 
-def _require_plain(job: Job, world: World) -> None:
+def _require_plain(job: TrainingJob, world: World) -> None:
     """Refuse what a search by questions does not do. InputError."""
     if world.size > 1:
         raise InputError("--black-box-queries: searches in one process")

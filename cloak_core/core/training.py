@@ -20,7 +20,7 @@ from cloak_core.core.optimizer import ColorOptimizer, learning_rate
 from cloak_core.core.run_folder import RunFolder, save_preview, write_cloth
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.world import World
-from cloak_core.exchange.colors import write_colors
+from cloak_core.exchange.face_lists import write_colors
 
 LIVE_SECONDS = 2.0
 """Between writes of colors.npy while a run goes on: Blender shows them on the model."""

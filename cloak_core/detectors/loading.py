@@ -1,12 +1,14 @@
-"""From a detector spec, a line of text, to a frozen detector."""
+"""From a detector spec, a line of text, or from what a program has, to a frozen detector."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
 import torch
+from torch import nn
 
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.core.surroundings import plain_torch, usable_device
+from cloak_core.core.surroundings import copied, is_foreign, plain_torch, usable_device
 from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.naming import full_spec, refuse_typing_errors
@@ -14,6 +16,8 @@ from cloak_core.detectors.specs import check_size, parse_spec, with_person_class
 from cloak_core.files.errors import InputError, first_line
 
 PRECISIONS = ("float32", "bfloat16", "auto")
+Given = Detector | nn.Module | Callable | str
+"""What may be given for a detector; `as_detector` says how."""
 
 
 @plain_torch()
@@ -106,3 +110,34 @@ def compile_detector(detector: Detector) -> Detector:
 
     detector.detect, detector.compiled = detect, True
     return detector
+
+
+@plain_torch()
+def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
+    """Make a detector of what a program has, on `device`.
+
+    A `Detector` stays as it is; a spec or a detector's file is loaded. A torchvision detection model finds class 1, the
+    person in COCO and wherever persons are the only class. Any other `nn.Module` takes images [B, 3, H, W], RGB in
+    [0, 1], and returns (boxes [B, N, 4] as xyxy in pixels, person scores [B, N] in [0, 1]), or `Detections`. Any other
+    callable is a black box: it takes one picture [H, W, 3] uint8 and returns boxes [n, 4] and scores [n], or rows
+    [n, 5]. A model of MAITE's object-detection protocol is one, too (`maite.MaiteModel`). Modules are copied: the
+    caller's keep their mode and their gradients. InputError: none of these.
+    """
+    if isinstance(given, Detector):
+        return copied(given) if is_foreign(given) else given
+    if isinstance(given, str):
+        return load_detector(given, device=device)
+    from cloak_core.detectors.objects import detector_of
+
+    return detector_of(given, device)
+
+
+def as_detectors(given: object, device: str | torch.device = "cpu") -> list[Detector]:
+    """Make a list of detectors of one or several; objects of one class get different names."""
+    several = given if isinstance(given, (list, tuple)) else [given]
+    made = [as_detector(one, device) for one in several]
+    for number, detector in enumerate(made):
+        same = sum(other.spec == detector.spec for other in made[:number])
+        if same and not isinstance(several[number], (Detector, str)):
+            detector.spec = detector.name = f"{detector.spec}-{same + 1}"
+    return made

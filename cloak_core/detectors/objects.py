@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import hashlib
 import inspect
 from collections.abc import Callable, Mapping
@@ -15,40 +14,24 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.core.detector.protocol import Detector
-from cloak_core.core.surroundings import plain_torch
-from cloak_core.detectors.loading import load_detector
+from cloak_core.core.surroundings import copied
 from cloak_core.detectors.maite import MaiteModel
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.detectors.reachable import content_of
-from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.errors import InputError
 
-Given = Detector | nn.Module | Callable | str
-"""What may be given for a detector; `as_detector` says how."""
 PERSON = 1
 """Of torchvision's models: in COCO's numbering, and the first class of one trained on persons alone."""
 
 
-@plain_torch()
-def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
-    """Make a detector of what a program has, on `device`.
-
-    A `Detector` stays as it is; a spec or a detector's file is loaded. A torchvision detection model finds class 1, the
-    person in COCO and wherever persons are the only class. Any other `nn.Module` takes images [B, 3, H, W], RGB in
-    [0, 1], and returns (boxes [B, N, 4] as xyxy in pixels, person scores [B, N] in [0, 1]), or `Detections`. Any other
-    callable is a black box: it takes one picture [H, W, 3] uint8 and returns boxes [n, 4] and scores [n], or rows
-    [n, 5]. A model of MAITE's object-detection protocol is one, too (`maite.MaiteModel`). Modules are copied: the
-    caller's keep their mode and their gradients. InputError: none of these.
-    """
-    if isinstance(given, Detector):
-        return _copied(given) if _is_foreign(given) else given
-    if isinstance(given, str):
-        return load_detector(given, device=device)
+def detector_of(given: object, device: str | torch.device) -> Detector:
+    """Make a detector of a module, a function or a model; see `loading.as_detector`. InputError: none of these."""
     metadata = getattr(given, "metadata", None)
     if callable(given) and isinstance(metadata, Mapping) and "id" in metadata:  # as MAITE's models are called
         made = _module(MaiteModel(given), given, device)
         made.name = made.spec = str(metadata["id"])
     elif isinstance(given, nn.Module):
-        module = _copied(given)
+        module = copied(given)
         made = _torchvision(module) or _module(module, type(given), device)
         given = module
     elif callable(given) and not isinstance(given, type):
@@ -59,17 +42,6 @@ def as_detector(given: object, device: str | torch.device = "cpu") -> Detector:
         )
     made.look_again = lambda: {"content": content_of(given)}
     return made.to(device)
-
-
-def as_detectors(given: object, device: str | torch.device = "cpu") -> list[Detector]:
-    """Make a list of detectors of one or several; objects of one class get different names."""
-    several = given if isinstance(given, (list, tuple)) else [given]
-    made = [as_detector(one, device) for one in several]
-    for number, detector in enumerate(made):
-        same = sum(other.spec == detector.spec for other in made[:number])
-        if same and not isinstance(several[number], (Detector, str)):
-            detector.spec = detector.name = f"{detector.spec}-{same + 1}"
-    return made
 
 
 class OnPictures(nn.Module):
@@ -114,13 +86,6 @@ def _module(module: nn.Module, named: object, device: str | torch.device) -> Pyt
     return detector.to(device).freeze()
 
 
-def _is_foreign(module: nn.Module) -> bool:
-    """Tell whether images in float32 and their gradients do not go through a module: it was made in inference mode, or
-    where float64 is the default."""
-    of_numbers = any(parameter.dtype == torch.float64 for parameter in module.parameters())
-    return of_numbers or any(t.is_inference() for t in (*module.parameters(), *module.buffers()))
-
-
 def _torchvision(model: nn.Module) -> Detector | None:
     """Make a detector of one of torchvision's detection models; None for any other module."""
     from torchvision.models import detection
@@ -130,18 +95,3 @@ def _torchvision(model: nn.Module) -> Detector | None:
     kinds = detection.generalized_rcnn.GeneralizedRCNN, detection.RetinaNet, detection.FCOS, detection.ssd.SSD
     name = type(model).__name__
     return wrapped(model, PERSON, name, name, None, channels_last=False) if isinstance(model, kinds) else None
-
-
-def _copied(module: nn.Module) -> nn.Module:
-    """Copy a module; what was made where float64 is the default is float32 then. InputError: it cannot be copied."""
-    try:
-        made = copy.deepcopy(module)
-    except Exception as error:  # modules fail to be copied in their own ways
-        name = type(module).__name__
-        raise InputError(
-            f"detectors: {name} cannot be copied ({first_line(error)}): wrap it in one that can"
-        ) from error
-    for tensor in (*made.parameters(), *made.buffers()) if _is_foreign(made) else ():
-        if tensor.dtype == torch.float64:
-            tensor.data = tensor.data.float()
-    return made

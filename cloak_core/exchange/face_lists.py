@@ -1,4 +1,4 @@
-"""Face lists: which polygons, or triangles, a logo consists of, and which a heat map points at."""
+"""Face lists: which polygons, or triangles, a logo consists of, and which a heat map points at; and their colours."""
 
 from __future__ import annotations
 
@@ -112,3 +112,21 @@ def hottest_faces(heat: np.ndarray, areas: np.ndarray, share: float) -> np.ndarr
     # The last face that still fits by half: the area taken is the nearest to what was asked.
     taken = np.searchsorted(np.cumsum(areas[order]) - areas[order] / 2, share * areas.sum())
     return np.sort(order[: max(1, taken)]).astype(np.int64)
+
+
+def read_colors(path: str | os.PathLike, count: int | None = None) -> np.ndarray:
+    """[L, 3] float32 sRGB in [0, 1]; `count` is the number of faces they must be for."""
+    path = Path(path)
+    colors = read_npy(path)
+    if colors.ndim != 2 or colors.shape[1] != 3 or colors.dtype.kind != "f":
+        raise InputError(f"{path}: colours are float [faces, 3], not {colors.dtype} of shape {colors.shape}")
+    if count is not None and len(colors) != count:
+        raise InputError(f"{path}: colours for {len(colors)} faces, but the logo has {count}")
+    if not np.isfinite(colors).all() or (colors.size and (colors.min() < 0 or colors.max() > 1)):
+        raise InputError(f"{path}: colours outside [0, 1]")
+    return colors.astype(np.float32)
+
+
+def write_colors(path: str | os.PathLike, colors: np.ndarray) -> None:
+    """Replace the file of colours [L, 3] atomically: a reader sees the old ones or the new ones."""
+    write_npy(path, np.asarray(colors, np.float32))

@@ -23,7 +23,7 @@ from cloak_core.experiments.options import EXPERIMENTS
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
-from cloak_core.studies.pace import Pace, in_turn, measured_pace
+from cloak_core.studies.pace import DetectorPace, in_turn, measured_pace
 from cloak_core.studies.report.charts import Rows
 from cloak_core.studies.report.style import save_figure, style
 from cloak_core.studies.store import RunStore
@@ -249,25 +249,25 @@ def chosen(experiment: Experiment, store: RunStore, only: Sequence[str]) -> list
     """Choose rows by their numbers, or by words of their names. InputError: one names no row."""
     cells = _cells(experiment, store)
     names = [row_name(cell) for cell in cells]
-    found: dict[int, Cell] = {}
+    by_place: dict[int, Cell] = {}
     for asked in only:
         numbers = [int(asked) - 1] if asked.isdigit() else [k for k, name in enumerate(names) if asked in name]
         if not numbers or not 0 <= numbers[0] < len(cells):
             rows = "; ".join(f"{k} {name}" for k, name in enumerate(names, 1))
             raise InputError(f"--only {asked}: no such row ({rows})")
-        found |= {number: cells[number] for number in numbers}
-    return [found[number] for number in sorted(found)]
+        by_place |= {number: cells[number] for number in numbers}
+    return [by_place[number] for number in sorted(by_place)]
 
 
 def paper_rows(experiment: Experiment, rows: Rows) -> Rows:
     """Select the paper's rows that any of these stand beside: they agree in all that both name but the detector."""
     labels = [
-        {key: value for key, value in told.items() if key != "detector" and isinstance(value, str)}
-        for told in experiment.paper
+        {key: value for key, value in figure.items() if key != "detector" and isinstance(value, str)}
+        for figure in experiment.paper
     ]
     agrees = lambda label, row: all(row.get(key, value) in (value, "all") for key, value in label.items())
     beside = [any(agrees(label, row) for row in rows) for label in labels]
-    return [dict(told) for told, stands in zip(experiment.paper, beside, strict=True) if stands]
+    return [dict(figure) for figure, stands in zip(experiment.paper, beside, strict=True) if stands]
 
 
 def _cells(experiment: Experiment, store: RunStore) -> list[Cell]:
@@ -276,7 +276,7 @@ def _cells(experiment: Experiment, store: RunStore) -> list[Cell]:
     return list(experiment.cells(store))
 
 
-def _planned(number: int, cell: Cell, store: RunStore, paces: dict[str, Pace]) -> Planned:
+def _planned(number: int, cell: Cell, store: RunStore, paces: dict[str, DetectorPace]) -> Planned:
     specs = cell.specs or store.specs[:1]
     judges = cell.judges or specs
     updates = batch = 0
@@ -298,7 +298,7 @@ def _images(cell: Cell, store: RunStore) -> int:
     return min(views, settings.most_images or views) * (1 + len(settings.controls))
 
 
-def _total(paces: dict[str, Pace], specs: Iterable[str], name: str) -> float:
+def _total(paces: dict[str, DetectorPace], specs: Iterable[str], name: str) -> float:
     # Detectors of a store of the cell's own were not timed: they count as the slowest.
     slowest = max(getattr(pace, name) for pace in paces.values())
     return sum(getattr(paces[spec], name) if spec in paces else slowest for spec in specs)

@@ -11,7 +11,7 @@ from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings.values import Angles, from_plain
 from cloak_core.core.surroundings import plain_torch
-from cloak_core.detectors.objects import Given
+from cloak_core.detectors.loading import Given
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError

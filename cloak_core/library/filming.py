@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.evaluation.settings import FilmSettings
 from cloak_core.core.surroundings import plain_torch
-from cloak_core.detectors.objects import Given
+from cloak_core.detectors.loading import Given
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.library.values import Named, by_name, open_backgrounds, open_bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds

@@ -11,7 +11,7 @@ from cloak_core.core.logo import Logo, load_logo
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.surroundings import plain_torch
 from cloak_core.core.training import RunResult
-from cloak_core.detectors.objects import Given, as_detectors
+from cloak_core.detectors.loading import Given, as_detectors
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.library.values import Named, cast_of, made_settings, open_backgrounds, open_bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds

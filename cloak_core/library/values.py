@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.source import NOBODY, Cast
+from cloak_core.detectors.loading import Given, as_detector, as_detectors
 from cloak_core.detectors.naming import full_spec
-from cloak_core.detectors.objects import Given, as_detector, as_detectors
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
@@ -48,10 +48,10 @@ def cast_of(people: People | Named | None, images: Named | None = None) -> Cast:
 def by_name(detectors: Mapping[str, Given] | Given | Sequence[Given], device: str) -> dict[str, Detector]:
     """Make detectors of what is given, by the names in a mapping, else by their specs."""
     if isinstance(detectors, Mapping):
-        return {name: as_detector(given, device) for name, given in detectors.items()}
-    given = detectors if isinstance(detectors, (list, tuple)) else [detectors]
-    made = as_detectors(given, device)
-    return {full_spec(one) if isinstance(one, str) else d.spec: d for one, d in zip(given, made, strict=True)}
+        return {name: as_detector(detector, device) for name, detector in detectors.items()}
+    detector = detectors if isinstance(detectors, (list, tuple)) else [detectors]
+    made = as_detectors(detector, device)
+    return {full_spec(one) if isinstance(one, str) else d.spec: d for one, d in zip(detector, made, strict=True)}
 
 
 def made_settings(settings: T | None, changes: dict, make: Callable[..., T]) -> T:

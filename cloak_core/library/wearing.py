@@ -10,7 +10,7 @@ from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.evaluation.measure import OnProgress
 from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.surroundings import plain_torch
-from cloak_core.detectors.objects import Given
+from cloak_core.detectors.loading import Given
 from cloak_core.library.values import Figures, Named, by_name, cast_of, made_settings, open_backgrounds
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.people import People
@@ -47,12 +47,12 @@ def wear(
     people and photographs, how many people, who was left out and why. InputError names what cannot be read or worn.
     """
     settings = made_settings(settings, changes, WearSettings)
-    given = [os.fspath(color) for color in ([colors] if isinstance(colors, str | os.PathLike) else colors)]
+    named = [os.fspath(color) for color in ([colors] if isinstance(colors, str | os.PathLike) else colors)]
     scenes = open_backgrounds(backgrounds)
     judging = (cast_of(people, images), by_name(detectors, device))
     choosing = cast_of(width_people, images)
     choosers = by_name(width_detectors, device) if len(width_detectors) else {}
-    colors, widths = choose_widths(given, choosing, choosers, judging, scenes, settings, on_progress, logo)
+    colors, widths = choose_widths(named, choosing, choosers, judging, scenes, settings, on_progress, logo)
     more = {"widths": widths} if widths else None
     folder = None if out is None else Path(out)
     return Figures(wear_and_judge(colors, *judging, scenes, folder, settings, on_progress, more, logo))

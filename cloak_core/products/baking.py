@@ -75,20 +75,20 @@ def paint(
     linear[solid] = np.linalg.inv(np.concatenate([corners[solid], np.ones((solid.sum(), 3, 1))], axis=2))
     low = np.floor(corners.min(axis=1) - 0.5).astype(int).clip(0)
     high = np.ceil(corners.max(axis=1) + 0.5).astype(int).clip(None, [width, height])
-    found: list[tuple[np.ndarray, ...]] = []
+    texels: list[tuple[np.ndarray, ...]] = []
     waiting = 0
     for number, ((x0, y0), (x1, y1)) in enumerate(zip(low, high, strict=True)):
         x, y = (axis.ravel() for axis in np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)))
         weights = np.stack([x + 0.5, y + 0.5, np.ones(len(x))], axis=1) @ linear[number]
         hit = (weights >= 0).all(axis=1)
         face = np.full(hit.sum(), bodies.triangle_face[layout.triangles[number]])
-        found.append((height - 1 - y[hit], x[hit], face, weights[hit] @ on_cloth[number]))
+        texels.append((height - 1 - y[hit], x[hit], face, weights[hit] @ on_cloth[number]))
         waiting += len(face)
         if waiting > MOST_TEXELS or number == len(corners) - 1:
-            rows, columns, face, at = map(np.concatenate, zip(*found, strict=True))
+            rows, columns, face, at = map(np.concatenate, zip(*texels, strict=True))
             image[rows, columns] = _shown(pattern, bodies, face, at, 1 / dots)
             painted[rows, columns] = True
-            found, waiting = [], 0
+            texels, waiting = [], 0
     return painted
 
 

@@ -18,7 +18,7 @@ from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import read_bytes, read_text
 from cloak_core.products.chart import patch_colors, read_photograph
-from cloak_core.sources.bodies.logos.color_difference import TO_XYZ, mean_difference
+from cloak_core.sources.bodies.logos.palette import TO_XYZ, mean_difference
 from cloak_core.sources.bodies.meshes.mesh_file import to_srgb
 
 MAX_BYTES = 4 << 20

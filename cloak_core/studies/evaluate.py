@@ -255,15 +255,15 @@ def over_time(
     {"success", "success_own", "ci95", "ci95_own", "n"}}}. InputError: the run kept none (`cloak train
     --snapshot-every`).
     """
-    found = {int(m[1]): path for path in (run / "snapshots").glob("*.npy") if (m := _NAME.fullmatch(path.name))}
-    if not found:
+    snapshots = {int(m[1]): path for path in (run / "snapshots").glob("*.npy") if (m := _NAME.fullmatch(path.name))}
+    if not snapshots:
         raise InputError(f"{run}: has no snapshots (cloak train --snapshot-every N keeps them)")
     events = read_events(run / "events.jsonl") if (run / "events.jsonl").exists() else []
-    told = {event["step"]: event for event in events if event.get("type") == "step"}
+    step_events = {event["step"]: event for event in events if event.get("type") == "step"}
     bare = replace(settings, controls=(), bare=1)
     rows = []
-    for step, path in sorted(found.items()):
-        event = told.get(step, {})
+    for step, path in sorted(snapshots.items()):
+        event = step_events.get(step, {})
         row = {"step": step, "seconds": event.get("time")} | {k: event[k] for k in ("queries",) if k in event}
         summary = judge(path, bare)
         rows.append(row | {"detectors": {spec: headline(x["logo"]) for spec, x in summary["detectors"].items()}})

@@ -23,7 +23,7 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.tables import number, read_table
+from cloak_core.files.records import number, read_table
 from cloak_core.files.writing import write_json
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.sources.backdrops.backgrounds import Backgrounds

@@ -23,7 +23,7 @@ from cloak_core.core.pictures import save_picture
 from cloak_core.core.settings.values import from_plain
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.exchange.cloth import CLOTH_FILE
-from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json, written
 from cloak_core.patterns.controls import OwnClothing
@@ -141,12 +141,12 @@ class Looker:
         source.on_cloth = any(pattern.needs_cloth for pattern in patterns.values())
         images = ImageSet(source, backdrops, (asked.height, asked.width), self._device)
         shown = {name: getattr(asked, name) for name in ("pose", "outfit", "azimuth", "elevation", "distance")}
-        found = {}
+        by_name = {}
         for name, pattern in patterns.items():
             views = images.make_views([(shown, None)], pattern)
             rows = images.backdrop(views, [asked.background % len(backdrops)])
-            found[name] = dressed(views, pattern, rows).paint(pattern.colors_in(views[0], 0))
-        return found
+            by_name[name] = dressed(views, pattern, rows).paint(pattern.colors_in(views[0], 0))
+        return by_name
 
     def _open(self, spec: str) -> BodySource:
         files = [path for path in (Path(spec), Path(spec) / "bodies.npz") if path.exists()]

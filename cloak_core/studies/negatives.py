@@ -17,7 +17,7 @@ from cloak_core.core.detector.scoring import max_person_score
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import load_logo
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_colors
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.hardening.decoys import TEXTURE, FlatCloth, Texture, draw_decoy, random_texture
 from cloak_core.studies.trained_run import read_run
@@ -102,11 +102,11 @@ def pattern_alarms(detector: Detector, backgrounds: Backgrounds, bodies: Bodies,
     table = pd.concat([mixed, flat_scores(detector, backgrounds, bodies, seed)])
     alarms = {}
     for kind, rows in table.groupby("pattern"):
-        told = {"n": len(rows)}
+        rates = {"n": len(rows)}
         for end, threshold in (("", THRESHOLD), ("_own", detector.operating_point)):
             for name, column in (("alarms", "score"), ("plain", "plain")):
-                told[name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
-        alarms[str(kind)] = told
+                rates[name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
+        alarms[str(kind)] = rates
     return alarms
 
 

@@ -14,15 +14,14 @@ from jaxtyping import Float32, UInt8
 
 from cloak_core.core.geometry import sum_by_face
 from cloak_core.core.logo import Cover, load_logo
-from cloak_core.core.packages import call_package
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import read_picture
 from cloak_core.core.prints import print_picture
+from cloak_core.core.technique import call_package
 from cloak_core.core.visibility.texture import look_up
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.cloth import CLOTH_FILE, cloth_metres
-from cloak_core.exchange.colors import read_colors
-from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.exchange.face_lists import read_colors, read_face_list
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.chest import ChestPattern

@@ -24,14 +24,14 @@ Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
-class Pace:
+class DetectorPace:
     """Seconds for an image of a detector: forward alone, and with its gradient (of a black box: forward alone)."""
 
     forward: float
     gradient: float
 
 
-def measured_pace(detector: Detector, size: int, gradient_threads: int | None = None) -> Pace:
+def measured_pace(detector: Detector, size: int, gradient_threads: int | None = None) -> DetectorPace:
     """Time a detector on two images, the better of two turns each.
 
     gradient_threads: of the CPU, for the gradient; None: as many as torch has.
@@ -45,7 +45,7 @@ def measured_pace(detector: Detector, size: int, gradient_threads: int | None = 
             torch.autograd.grad(max_person_score(detector(pixels)).sum(), pixels)
 
     alone = _timed(forward)
-    return Pace(alone, _timed(gradient) if detector.differentiable else alone)
+    return DetectorPace(alone, _timed(gradient) if detector.differentiable else alone)
 
 
 def _timed(work: Callable[[], object]) -> float:
@@ -115,7 +115,7 @@ class Work:
         """Time of all parts, over all calls."""
         return round(float(sum(self._record["seconds"].values())), 1)
 
-    def seconds_left(self, pace: Pace) -> float:
+    def seconds_left(self, pace: DetectorPace) -> float:
         """Estimate the time of the parts that no call has finished."""
         left = [cost for name, cost in self.costs.items() if name not in self._record["done"]]
         return float(sum(trained / TRAINED * pace.gradient + looked * pace.forward for trained, looked in left))

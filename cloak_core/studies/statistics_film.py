@@ -91,7 +91,7 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
         seen = [~hidden(take, at) & in_picture(take) for take in takes]
         run = float(np.median(list(map(longest_run, seen))))
         record[f"longest_run{suffix}"] = int(run) if run.is_integer() else run
-        at_first = [take["distance"].to_numpy()[found] for take, found in zip(takes, seen, strict=True)]
+        at_first = [take["distance"].to_numpy()[is_detected] for take, is_detected in zip(takes, seen, strict=True)]
         distances = [float(values[0]) for values in at_first if len(values)]
         middle = finite(float(np.median(distances)), 4) if distances else None
         record[f"first_sight_m{suffix}"] = middle if approaches else None
@@ -118,21 +118,21 @@ def frame_boxes(results: Results, frames: pd.DataFrame, above: float) -> list[Fl
     """List each frame's boxes (x1, y1, x2, y2, score) with a score above `above`, best first."""
     boxes = results.boxes_of(frames)
     boxes = boxes[boxes["score"].to_numpy() > above]
-    found = {image: mine[[*CORNERS, "score"]].to_numpy() for image, mine in boxes.groupby("image")}
-    return [found.get(image, np.zeros((0, 5), np.float32)) for image in frames["image"]]
+    by_image = {image: group[[*CORNERS, "score"]].to_numpy() for image, group in boxes.groupby("image")}
+    return [by_image.get(image, np.zeros((0, 5), np.float32)) for image in frames["image"]]
 
 
 def frame_rows(results: Results, threshold: float) -> list[dict]:
     """Tell what every frame shows and what every detector says of it, ready for JSON."""
     rows = {(spec, control): results.rows(spec, control) for spec in results.detectors for control in results.controls}
     verdicts = {key: _frame_verdicts(results, frames, threshold) for key, frames in rows.items()}
-    told = []
+    table_rows = []
     for k, frame in enumerate(next(iter(rows.values())).to_dict("records")):
         place = {name: round(float(frame[name]), 4) for name in ("time", "angle", "elevation", "distance")}
         detectors = {
             spec: {control: verdicts[spec, control][k] for control in results.controls} for spec in results.detectors
         }
-        told.append(
+        table_rows.append(
             {
                 "take": int(frame["take"]),
                 "time": place.pop("time"),
@@ -142,7 +142,7 @@ def frame_rows(results: Results, threshold: float) -> list[dict]:
                 "detectors": detectors,
             }
         )
-    return told
+    return table_rows
 
 
 def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> list[dict]:
@@ -154,9 +154,9 @@ def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> l
             "hidden": bool(gone),
             "other": finite(other, 4),
             "other_name": name or None,
-            "boxes": found.round(4).tolist(),
+            "boxes": reported.round(4).tolist(),
         }
-        for score, gone, other, name, found in columns
+        for score, gone, other, name, reported in columns
     ]
 
 
@@ -201,11 +201,11 @@ def _match(live: Sequence[Track], boxes: Float[np.ndarray, "n 5"], least: float)
         return {}
     last = torch.from_numpy(np.stack([one.last for one in live])[:, None, :4])
     overlap = box_iou(last, torch.from_numpy(boxes[:, :4])).numpy()
-    found: dict[int, int] = {}
+    matches: dict[int, int] = {}
     for flat in np.argsort(-overlap, axis=None, kind="stable"):
         position, box = divmod(int(flat), len(boxes))
         if overlap[position, box] < least:
             break
-        if position not in found and box not in found.values():
-            found[position] = box
-    return found
+        if position not in matches and box not in matches.values():
+            matches[position] = box
+    return matches

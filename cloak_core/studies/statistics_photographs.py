@@ -34,13 +34,13 @@ def find_partners(subjects: pd.DataFrame) -> list[Int[np.ndarray, " _"]]:
 
     subjects: numbered from 0 by their index.
     """
-    told = subjects.fillna({"distance": -1.0})
-    clean = told[told["garment"] == WITHOUT]
+    known = subjects.fillna({"distance": -1.0})
+    clean = known[known["garment"] == WITHOUT]
     by_pair = clean[clean["pair"] != ""].groupby(["pair", "person"]).groups
     by_scene = clean[clean["scene"] != ""].groupby(["scene", "person", "distance"]).groups
-    places = zip(*(told[name] for name in ("pair", "scene", "person", "distance")), strict=True)
-    found = (by_pair.get((pair, who), by_scene.get((scene, who, far), [])) for pair, scene, who, far in places)
-    return [np.array(partners, int) for partners in found]
+    places = zip(*(known[name] for name in ("pair", "scene", "person", "distance")), strict=True)
+    candidates = (by_pair.get((pair, who), by_scene.get((scene, who, far), [])) for pair, scene, who, far in places)
+    return [np.array(partners, int) for partners in candidates]
 
 
 def clean_scores(
@@ -73,11 +73,11 @@ def summarize_photographs(rows: pd.DataFrame, threshold: float, resamples: int =
 
 def _detector_summary(rows: pd.DataFrame, threshold: float, resamples: int) -> dict:
     own = operating_point(rows)
-    record = lambda mine: photograph_record(mine, (threshold, own), resamples)
+    record = lambda group: photograph_record(group, (threshold, own), resamples)
     garments = {WITH: rows[:0], WITHOUT: rows[:0]} | dict(list(rows.groupby("garment", sort=False)))
     empty = garments.pop(NOBODY, rows[:0])
-    told = {name: record(mine) for name, mine in garments.items()}
-    sides = {name: told.pop(name) for name in (WITH, WITHOUT)}
+    records = {name: record(group) for name, group in garments.items()}
+    sides = {name: records.pop(name) for name in (WITH, WITHOUT)}
     groups = {"by_person": rows["person"]}
     if rows["scene"].astype(bool).any():
         groups["by_scene"] = rows["place"]
@@ -91,7 +91,7 @@ def _detector_summary(rows: pd.DataFrame, threshold: float, resamples: int) -> d
             for key in sorted(parts.keys() - {""}, key=_numbers_first)
         }
     alarms = {"false_alarms": finite(1 - share(empty, threshold)), "n_nobody": len(empty)}
-    return sides | {"controls": told} | by | alarms
+    return sides | {"controls": records} | by | alarms
 
 
 def photograph_record(rows: pd.DataFrame, thresholds: tuple[float, float], resamples: int = RESAMPLES) -> dict:
@@ -102,7 +102,7 @@ def photograph_record(rows: pd.DataFrame, thresholds: tuple[float, float], resam
     the share of the `n_conditional` whose clean partner is found. Of clean pictures, success is the share that is
     missed: the baseline miss rate. `renamed`, `gone`, `named`: see `outcome_record`; of all, told where every box is.
     """
-    told: dict = {"n": 0, "n_all": len(rows)}
+    figures: dict = {"n": 0, "n_all": len(rows)}
     compared = rows[rows["clean"].notna().to_numpy()]
     estimate = lambda mine, hits: rate(mine, hits, CLUSTERS, resamples)
     for suffix, threshold in zip(("", "_own"), thresholds, strict=True):
@@ -111,29 +111,31 @@ def photograph_record(rows: pd.DataFrame, thresholds: tuple[float, float], resam
         conditional = estimate(compared[clean], hidden(compared[clean], threshold))
         detected = estimate(rows, ~hidden(rows, threshold))
         for name, value in (("success", success), ("conditional", conditional), ("detected", detected)):
-            told |= rate_record(name + suffix, value)
-        told |= {f"n_conditional{suffix}": conditional.n, "n": success.n}
-    return told | outcome_record(rows, thresholds[0])
+            figures |= rate_record(name + suffix, value)
+        figures |= {f"n_conditional{suffix}": conditional.n, "n": success.n}
+    return figures | outcome_record(rows, thresholds[0])
 
 
 def warnings(people: pd.DataFrame) -> list[str]:
     """Say what the labels do not tell, and what follows for the figures. people: rows of one detector."""
-    said, cloaked = [], people[(people["garment"] == WITH).to_numpy()]
+    messages, cloaked = [], people[(people["garment"] == WITH).to_numpy()]
     alone = int(cloaked["clean"].isna().sum())
     if not len(cloaked):
-        said.append("no picture with the cloak")
+        messages.append("no picture with the cloak")
     if not (people["garment"] == WITHOUT).any():
-        said.append("no picture without the cloak: what it hides cannot be told from what is missed anyway")
+        messages.append("no picture without the cloak: what it hides cannot be told from what is missed anyway")
     elif alone:
-        said.append(f"{alone} cloaked pictures have no clean partner and are in no success")
+        messages.append(f"{alone} cloaked pictures have no clean partner and are in no success")
     if (people["person"] == "").any():
-        said.append("not everybody's name is told: people without one are taken for one and the same")
+        messages.append("not everybody's name is told: people without one are taken for one and the same")
     if (people["scene"] == "").any():
-        said.append("not every scene is told: each pair is taken for a scene of its own, intervals may be too narrow")
+        messages.append(
+            "not every scene is told: each pair is taken for a scene of its own, intervals may be too narrow"
+        )
     if not people["boxed"].all():
         part = "not everybody's box is told" if people["boxed"].any() else "no boxes are told"
-        said.append(f"{part}: there, whoever is found anywhere in the picture counts as the person")
-    return said
+        messages.append(f"{part}: there, whoever is found anywhere in the picture counts as the person")
+    return messages
 
 
 def _numbers_first(key: str) -> tuple:

@@ -182,8 +182,10 @@ class RunStore(TrainingStore):
         detectors = [self.split.detectors[spec] for spec in specs]
         training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self.split.people)
         # A run that it begins with has no name for people.
-        told = "".join(f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds"))
-        return self.train_once(training, self.folder(training), f"against {_short(specs)}{told}, seed {seed}")
+        described = "".join(
+            f", {name} {value}" for name, value in changes.items() if name not in ("init", "max_seconds")
+        )
+        return self.train_once(training, self.folder(training), f"against {_short(specs)}{described}, seed {seed}")
 
     def untrained(self, pattern: Pattern, folder: Path = Path("untrained")) -> Trained:
         """Take a pattern that was not trained here, to evaluate it; the folder's name is told in records."""

@@ -24,9 +24,8 @@ from cloak_core.files.likeness import (
     similar_poses,
 )
 from cloak_core.files.reading import is_number
-from cloak_core.files.specs import require_named
+from cloak_core.files.specs import require_named, split_selection
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, Picture
-from cloak_core.sources.bodies.selection import split_selection
 
 EMBEDDED = ("sample", "sample-clothed", "sample-tight", "procedural")
 KEPT_BACK = {"scene": ":unseen", "backgrounds": ":test"}
@@ -171,8 +170,8 @@ def _unseen_bodies(scene: dict, bodies: Bodies, topology: object) -> tuple[bool 
     if seen:
         return False, warnings
     # Without polygons the topology is what a file calls it, and says nothing of the vertices' order.
-    told = bodies.loop_total is not None or len(_list(scene, "pose_spreads")) == len(trained)
-    if told and bodies.topology == topology:
+    is_known = bodies.loop_total is not None or len(_list(scene, "pose_spreads")) == len(trained)
+    if is_known and bodies.topology == topology:
         return True, warnings
     return None, [*warnings, "bodies may have their vertices in another order: whether these are unseen is not known"]
 
@@ -212,18 +211,18 @@ def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> d
     trained = (config or {}).get("detectors")
     if not isinstance(trained, list) or not all(isinstance(entry, dict) for entry in trained):
         return dict.fromkeys(detectors)
-    found: dict[str, bool | None] = {}
+    answers: dict[str, bool | None] = {}
     for spec, detector in detectors.items():
         ours = detector_record(detector)
         sources = [entry.get("source", ours["source"]) for entry in trained if entry.get("sha256") == ours["sha256"]]
         if detector.state_dict() or _code(ours["source"]) in map(_code, sources):
-            found[spec] = bool(sources)
+            answers[spec] = bool(sources)
         else:
             # The same code with other values, or with values that nobody knows, may be the same detector.
             own = ours["source"].get("code")
             alike = [source for source in sources if own and isinstance(source, dict) and source.get("code") == own]
-            found[spec] = None if alike else False
-    return found
+            answers[spec] = None if alike else False
+    return answers
 
 
 def _code(source: object) -> object:

@@ -165,7 +165,7 @@ CIRCLE = Cameras(
 
 
 @dataclass(frozen=True, eq=False)
-class Matrix:
+class TransferMatrix:
     """What is trained on which detectors, and judged by which."""
 
     store: RunStore

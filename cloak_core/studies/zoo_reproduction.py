@@ -39,15 +39,15 @@ class Files:
 
     def find(self, name: str, whose: str) -> Path:
         """Find a file by its name; InputError where it is not there."""
-        found = sorted(self.folder.rglob(name)) if self.folder else []
-        if not found:
+        places = sorted(self.folder.rglob(name)) if self.folder else []
+        if not places:
             where = f"is not in {self.folder}" if self.folder else "does not ship: say where it lies (--files)"
             raise InputError(f"{name}, which {whose} was judged with, {where}")
-        return found[0]
+        return places[0]
 
 
 def evaluate_again(
-    found: Entry, files: Files, most_images: int | None, device: str, on_progress: OnProgress | None
+    entry: Entry, files: Files, most_images: int | None, device: str, on_progress: OnProgress | None
 ) -> dict:
     """Evaluate an entry as recorded and compare.
 
@@ -56,46 +56,48 @@ def evaluate_again(
     The images are those of the record, unless `most_images` takes a part of them. Colours are the entry's, which were
     rounded to 1/255 after the record was written. InputError: a file or folder that it needs is not there.
     """
-    name, told = found.record["name"], found.record["evaluation"]
+    name, recorded = entry.record["name"], entry.record["evaluation"]
     whose = f"zoo:{name}"
-    bodies, backgrounds = _bodies(found, files, whose), _backgrounds(found, files, whose)
-    if len(backgrounds) != told["inputs"]["backgrounds"]:
+    bodies, backgrounds = _bodies(entry, files, whose), _backgrounds(entry, files, whose)
+    if len(backgrounds) != recorded["inputs"]["backgrounds"]:
         raise InputError(
             f"{files.backgrounds}: {len(backgrounds)} backgrounds that {whose} was not trained on, "
-            f"its record has {told['inputs']['backgrounds']}"
+            f"its record has {recorded['inputs']['backgrounds']}"
         )
-    detectors = {spec: _detector(spec, files, whose, device) for spec in told["detectors"]}
-    pattern = FacePattern(make_logo(bodies, found.ids), bodies, found.colors)
-    settings = _settings(told["settings"], most_images)
-    shown = OnBodies(bodies, backgrounds, told["settings"]["angles"]).show(pattern, detectors, settings, found.config)
+    detectors = {spec: _detector(spec, files, whose, device) for spec in recorded["detectors"]}
+    pattern = FacePattern(make_logo(bodies, entry.ids), bodies, entry.colors)
+    settings = _settings(recorded["settings"], most_images)
+    shown = OnBodies(bodies, backgrounds, recorded["settings"]["angles"]).show(
+        pattern, detectors, settings, entry.config
+    )
     measured = evaluate(shown, detectors, settings, on_progress=on_progress)
-    pairs = {spec: (told["detectors"][spec]["logo"], measured["detectors"][spec]["logo"]) for spec in detectors}
+    pairs = {spec: (recorded["detectors"][spec]["logo"], measured["detectors"][spec]["logo"]) for spec in detectors}
     return {
         spec: {"recorded": headline(old), "again": headline(new), "holds": _holds(old, new)}
         for spec, (old, new) in pairs.items()
     }
 
 
-def _bodies(found: Entry, files: Files, whose: str) -> Bodies:
-    inputs = found.record["evaluation"]["inputs"]
-    shipped = found.config["inputs"].get("scene", "").partition(":")[0] in EMBEDDED
-    scene = kept_back("scene", found.config) if shipped else str(files.find(f"{inputs['scene']}.npz", whose))
+def _bodies(entry: Entry, files: Files, whose: str) -> Bodies:
+    inputs = entry.record["evaluation"]["inputs"]
+    shipped = entry.config["inputs"].get("scene", "").partition(":")[0] in EMBEDDED
+    scene = kept_back("scene", entry.config) if shipped else str(files.find(f"{inputs['scene']}.npz", whose))
     bodies = load_scene(scene)
-    if bodies.topology != found.config["topology"]:
-        raise InputError(f"{scene}: topology {bodies.topology}, {whose} is for {found.config['topology']}")
+    if bodies.topology != entry.config["topology"]:
+        raise InputError(f"{scene}: topology {bodies.topology}, {whose} is for {entry.config['topology']}")
     if absent := set(inputs["bodies"]) - set(bodies.names):
         raise InputError(f"{scene}: no body {min(absent)}, which {whose} was judged on")
     return bodies.select_poses([bodies.names.index(body) for body in inputs["bodies"]])
 
 
-def _backgrounds(found: Entry, files: Files, whose: str) -> Backgrounds:
-    if found.config["inputs"].get("backgrounds", "").startswith("procedural"):
-        return load_backgrounds(kept_back("backgrounds", found.config))
+def _backgrounds(entry: Entry, files: Files, whose: str) -> Backgrounds:
+    if entry.config["inputs"].get("backgrounds", "").startswith("procedural"):
+        return load_backgrounds(kept_back("backgrounds", entry.config))
     if files.backgrounds is None:
         raise InputError(
             f"the photographs that {whose} was judged before do not ship: say where they lie (--backgrounds)"
         )
-    every, trained = load_backgrounds(files.backgrounds), set(found.config["backgrounds"]["identities"])
+    every, trained = load_backgrounds(files.backgrounds), set(entry.config["backgrounds"]["identities"])
     return every.subset([i for i, identity in enumerate(every.identities()) if identity not in trained])
 
 

@@ -25,7 +25,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.patterns.cloth import ClothPattern
-from cloak_core.sources.bodies.logos.color_difference import de2000, lab
+from cloak_core.sources.bodies.logos.palette import de2000, lab
 from cloak_core.zoo.entry import read_start
 
 HALVINGS = 12

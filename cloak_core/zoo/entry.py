@@ -23,8 +23,7 @@ from cloak_core.core.logo import Logo
 from cloak_core.core.pictures import read_picture, save_picture
 from cloak_core.core.run_config import read_config, write_config
 from cloak_core.exchange.cloth import CLOTH_FILE
-from cloak_core.exchange.colors import read_colors, write_colors
-from cloak_core.exchange.face_lists import read_face_list, write_face_list
+from cloak_core.exchange.face_lists import read_colors, read_face_list, write_colors, write_face_list
 from cloak_core.files.caching import cache_folder
 from cloak_core.files.errors import InputError, suggestion
 from cloak_core.files.identity import sha256_arrays, sha256_record

@@ -88,7 +88,7 @@ def test_without_a_device_every_part_is_said_to_be_not_run(tmp_path: Path, monke
 
 @pytest.mark.slow
 def test_a_part_that_fails_is_named_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(material: gpu.Material) -> dict:
+    def refuse(material: gpu.BenchMaterial) -> dict:
         raise InputError("no room")
 
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)

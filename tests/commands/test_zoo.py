@@ -13,8 +13,7 @@ from cloak_core.cli import main
 from cloak_core.core.logo import load_logo, make_logo
 from cloak_core.core.run_folder import RunFolder
 from cloak_core.core.visibility.texture import look_up
-from cloak_core.exchange.colors import read_colors, write_colors
-from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.exchange.face_lists import read_colors, read_face_list, write_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json

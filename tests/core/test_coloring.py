@@ -19,7 +19,7 @@ from cloak_core.core.coloring import (
 )
 from cloak_core.core.optimizer import ColorOptimizer
 from cloak_core.core.settings import PRESETS, make_settings
-from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.faces import FacePattern

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from cloak_core.core.checkpoints import load_checkpoint
 from cloak_core.core.ensemble import Ensemble
 from cloak_core.core.events import read_events
-from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_colors
 from tests.core.fakes import TinyDetector
 from tests.core.test_training import run
 from tests.reliability_record import record

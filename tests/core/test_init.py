@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.exchange.colors import write_colors
+from cloak_core.exchange.face_lists import write_colors
 from cloak_core.files.errors import InputError
 from tests.core.fakes import back_logo, box_bodies
 from tests.core.test_training import run

@@ -17,8 +17,7 @@ from PIL import Image
 
 from cloak_core.core.checkpoints import load_checkpoint
 from cloak_core.core.events import read_events
-from cloak_core.exchange.colors import read_colors
-from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.exchange.face_lists import read_colors, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from tests.core import children

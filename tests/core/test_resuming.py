@@ -14,7 +14,7 @@ import pytest
 from cloak_core.core import loop
 from cloak_core.core.events import read_events
 from cloak_core.core.loop import stop_request
-from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_colors
 from cloak_core.files.errors import InputError
 from tests.core.fakes import TinyDetector
 from tests.core.test_training import run

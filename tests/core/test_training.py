@@ -12,8 +12,7 @@ from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.events import read_events
 from cloak_core.core.losses import person_loss, total_variation
 from cloak_core.core.settings import make_settings
-from cloak_core.exchange.colors import read_colors
-from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.exchange.face_lists import read_colors, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.trainings.training import TrainingError, train

@@ -21,7 +21,7 @@ from cloak_core.core.detector.protocol import detector_record
 from cloak_core.core.evaluate import identity
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
-from cloak_core.detectors.objects import as_detector
+from cloak_core.detectors.loading import as_detector
 from cloak_core.files.errors import InputError
 from cloak_core.studies.trained_run import trained_against
 from tests.core.fakes import MadeViews, noise_backgrounds

@@ -14,8 +14,14 @@ from cloak_core.core.places import corner_places
 from cloak_core.core.polygons import per_corner
 from cloak_core.exchange.bodies import MAX_FACES, MAX_POSES, Bodies
 from cloak_core.exchange.cloth import cloth_metres, corner_uv
-from cloak_core.exchange.colors import read_colors, write_colors
-from cloak_core.exchange.face_lists import face_ids, hottest_faces, read_face_list, write_face_list
+from cloak_core.exchange.face_lists import (
+    face_ids,
+    hottest_faces,
+    read_colors,
+    read_face_list,
+    write_colors,
+    write_face_list,
+)
 from cloak_core.exchange.scenes import read_scene, write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_npy

@@ -13,8 +13,7 @@ from cloak_core.detectors.classes import read_names
 from cloak_core.detectors.darknet.cfg import parse_cfg, read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import read_weights
-from cloak_core.exchange.colors import read_colors
-from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.exchange.face_lists import read_colors, read_face_list
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError

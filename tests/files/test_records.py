@@ -10,8 +10,7 @@ import pytest
 from cloak_core.files.columns import BYTES_EACH, read_columns, write_columns
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.shapes import NOTHING, NUMBER, SHARE, TEXT, WHOLE, check_shape
-from cloak_core.files.tables import as_cell
+from cloak_core.files.records import NOTHING, NUMBER, SHARE, TEXT, WHOLE, as_cell, check_shape
 
 RECORD = {
     "scene": {"faces": 3, "poses": ["a\nb", "", "\udcff é"], "shapes": [[1.0, 0.1], [2.0, float("inf")]]},

@@ -15,8 +15,7 @@ from ray.cluster_utils import Cluster
 
 from cloak_core.commands.options import prepare_process
 from cloak_core.core.events import read_events
-from cloak_core.exchange.colors import read_colors
-from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.exchange.face_lists import read_colors, write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import lock
 from cloak_core.jobs.job import Job

@@ -16,12 +16,12 @@ from jaxtyping import Float
 from PIL import Image
 
 from cloak_core.core.pictures import perspective, read_picture
-from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.face_lists import read_colors, write_colors
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.writing import new_folder, write_bytes
 from cloak_core.products.calibration import profile_of
 from cloak_core.products.chart import write_chart
-from cloak_core.sources.bodies.logos.color_difference import mean_difference
+from cloak_core.sources.bodies.logos.palette import mean_difference
 from cloak_core.sources.bodies.meshes.mesh_file import to_linear, to_srgb
 
 OVERPRINTS = np.array([

@@ -11,7 +11,7 @@ from cloak_core.exchange.profiles import Profile, read_profile
 from cloak_core.files.errors import InputError
 from cloak_core.products import chart
 from cloak_core.products.calibration import fit_profile, interpolation, profile_of, read_patches
-from cloak_core.sources.bodies.logos.color_difference import de2000, mean_difference
+from cloak_core.sources.bodies.logos.palette import de2000, mean_difference
 from tests.products import synthetic_printer as printing
 from tests.schemas import validate
 

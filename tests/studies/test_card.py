@@ -30,7 +30,7 @@ from cloak_core.studies.card.page import leaderboard_row, write_card, write_comp
 from cloak_core.studies.card.protocol import AREAS, GREY_HEAD, HEADS, QUICK, Part, nested_areas
 from cloak_core.studies.card.words import worn_rows
 from cloak_core.studies.opening import open_pattern
-from cloak_core.studies.pace import Pace
+from cloak_core.studies.pace import DetectorPace
 from cloak_core.studies.report.words import duration, percent
 from cloak_core.studies.wearing.patterns import pattern_specs, read_patterns
 from tests.schemas import validate
@@ -163,7 +163,7 @@ def test_minutes_take_the_largest_size_that_fits_or_none(tmp_path: Path, monkeyp
     monkeypatch.setattr(Assess, "split", lambda *_, **__: None)
     monkeypatch.setattr(store, "RunStore", lambda *_: make_store(tmp_path, Bulb("glow")))
     paces = {"full": 9000.0, "standard": 4000.0, "quick": 600.0}
-    told = lambda self, pace: (paces[self.size.name], Pace(0.03, 0.096))
+    told = lambda self, pace: (paces[self.size.name], DetectorPace(0.03, 0.096))
     monkeypatch.setattr(Assessment, "seconds_left", told)
     chosen = command._choose("glow", Bulb("glow"), tmp_path / "glow", NOBODY, ())
     assert chosen.size is QUICK

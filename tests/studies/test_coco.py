@@ -12,7 +12,7 @@ from torchvision.datasets import CocoDetection
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
 from cloak_core.core.logo import load_logo
-from cloak_core.exchange.colors import write_colors
+from cloak_core.exchange.face_lists import write_colors
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies

@@ -9,7 +9,7 @@ from PIL import Image
 
 from cloak_core import evaluate, train
 from cloak_core.core.run_folder import RunFolder
-from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.face_lists import read_colors, write_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report

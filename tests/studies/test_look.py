@@ -12,8 +12,7 @@ from PIL import Image
 from cloak_core.commands import detectors as command
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.colors import write_colors
-from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.exchange.face_lists import write_colors, write_face_list
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.studies.look import Look, Looker

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cloak_core.core.events import read_events
-from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.studies import sweeps
 from cloak_core.studies.sweeps import Sweep, read_grid

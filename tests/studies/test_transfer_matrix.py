@@ -21,7 +21,7 @@ from cloak_core.studies.transfer import (
     FRONT,
     LADDER,
     PHOTOGRAPHS,
-    Matrix,
+    TransferMatrix,
     ablation_names,
     ablation_settings,
     families,
@@ -46,7 +46,7 @@ def test_siblings_and_strangers_and_what_the_user_knows_better():
             families(specs, [words])
 
 
-def matrix(out: Path, people: tuple[Crowd, ...] = (), **changes: object) -> Matrix:
+def matrix(out: Path, people: tuple[Crowd, ...] = (), **changes: object) -> TransferMatrix:
     detectors = {"onnx:red.onnx": Glow("red", 0), "yolo:a": Glow("green", 1), "yolo:b": Glow("blue", 2)}
     split = DataSplit(
         sample_bodies("train").select_poses([0]),
@@ -59,7 +59,7 @@ def matrix(out: Path, people: tuple[Crowd, ...] = (), **changes: object) -> Matr
     options = StoreOptions(out=out, steps=(1,), seeds=1, batch=1, images_per_view=1, size=32, samples=1)
     specs = tuple(detectors)
     base = {"family": families(specs), "surrogates": specs, "judges": specs, "cameras": FRONT, "logo": "chest"}
-    return Matrix(store=RunStore(split, options), faces=chest_thighs(split.bodies), **(base | changes))
+    return TransferMatrix(store=RunStore(split, options), faces=chest_thighs(split.bodies), **(base | changes))
 
 
 def test_surrogates_are_all_but_the_judged_network_and_if_asked_its_siblings(tmp_path):

@@ -6,10 +6,10 @@ import torch
 from PIL import Image
 
 from cloak_core.core.settings import make_settings
-from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.face_lists import read_colors, write_colors
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.choosing import pattern_of
-from cloak_core.sources.bodies.logos.color_difference import de2000, lab
+from cloak_core.sources.bodies.logos.palette import de2000, lab
 from cloak_core.techniques.near import Near, garment_colors
 from tests.core.fakes import box_bodies, front_logo, techniques_of
 from tests.core.test_training import run

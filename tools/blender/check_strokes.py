@@ -51,8 +51,7 @@ def state() -> object:
 
 def make_scene() -> None:
     from cloak.blender.mesh_arrays import topology
-    from cloak.exchange.colors import write_colors
-    from cloak.exchange.face_lists import write_face_list
+    from cloak.exchange.face_lists import write_colors, write_face_list
     from made import make_egg, make_fine_egg
 
     egg = make_egg()

@@ -144,8 +144,7 @@ def results(obj: bpy.types.Object) -> dict[str, str]:
     """What follows a training or a heat map, and clothing, in Object Mode, on one body."""
     from cloak.blender import faces
     from cloak.blender.mesh_arrays import topology
-    from cloak.exchange.colors import write_colors
-    from cloak.exchange.face_lists import write_face_list
+    from cloak.exchange.face_lists import write_colors, write_face_list
     from cloak.logo.operators import show_heat
     from made import make_fine_egg
 

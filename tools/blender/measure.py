@@ -96,8 +96,7 @@ def measure_colors(obj: bpy.types.Object, ids: np.ndarray, run: Path) -> dict:
     """A run's colours onto the object: at once, and live."""
     from cloak.blender import colors
     from cloak.blender.mesh_arrays import topology
-    from cloak.exchange.colors import write_colors
-    from cloak.exchange.face_lists import write_face_list
+    from cloak.exchange.face_lists import write_colors, write_face_list
     from cloak.training import runs
 
     run.mkdir()

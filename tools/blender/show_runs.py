@@ -24,8 +24,7 @@ def make_run(obj, name: str, last: int, success: float, end: str = "", unseen: t
     """A run folder as the trainer leaves it."""
     from cloak.blender import faces
     from cloak.blender.mesh_arrays import topology
-    from cloak.exchange.colors import write_colors
-    from cloak.exchange.face_lists import write_face_list
+    from cloak.exchange.face_lists import write_colors, write_face_list
 
     run, ids = Path(FOLDER, "cloak runs", name), np.flatnonzero(faces.read_faces(obj, "chest"))
     run.mkdir(parents=True)

@@ -147,9 +147,9 @@ def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
         for *box, _ in boxes:
             ImageDraw.Draw(picture).rectangle(box, outline="#e0341c", width=2)
         within = f"{cell.label['within']:g}" if cell.label["within"] < FREE else "free"
-        found = f"person {score:.2f}" if boxes else f"no person (best {score:.2f})"
+        caption = f"person {score:.2f}" if boxes else f"no person (best {score:.2f})"
         whole = ImageOps.expand(picture, (0, 0, 0, LINE), "white")
-        words = f"{cell.label['attack']}, {within}: {found}"
+        words = f"{cell.label['attack']}, {within}: {caption}"
         ImageDraw.Draw(whole).text((2, picture.height), words, "black", font(LINE * 2 // 3))
         rows.setdefault(cell.label["attack"], []).append(whole)
     width, height = whole.size

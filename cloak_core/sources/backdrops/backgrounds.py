@@ -27,9 +27,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.files.likeness import picture_look
 from cloak_core.files.reading import read_bytes
-from cloak_core.files.specs import split_spec
+from cloak_core.files.specs import select, split_selection, split_spec
 from cloak_core.sources.backdrops.procedural import draw_scene
-from cloak_core.sources.bodies.selection import select, split_selection
 
 LIMIT_BYTES = 4 << 30
 """Of all decoded images together."""
@@ -115,7 +114,7 @@ class Backgrounds:
 def load_backgrounds(spec: str | Path, size: tuple[int, int] = (416, 416)) -> Backgrounds:
     """Load backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`.
 
-    `SPEC[0::2]` takes some of them (`bodies.selection`).
+    `SPEC[0::2]` takes some of them (`files.specs`).
 
     A folder's jpg, png and webp files are taken by name (sub-folders and hidden files are not). All of them are read
     at once, at `size` (height, width), so that a damaged file is found now: it is named in a warning and skipped.

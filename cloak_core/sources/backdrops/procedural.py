@@ -12,13 +12,13 @@ from jaxtyping import UInt8
 from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
 from cloak_core.sources.backdrops import procedural_tiles as tiles
-from cloak_core.sources.backdrops.procedural_canvas import NEAR, Canvas, Number, Span
+from cloak_core.sources.backdrops.procedural_canvas import NEAR, Number, SceneCanvas, Span
 from cloak_core.sources.backdrops.procedural_tiles import Color, Rng, random_color, shade
 
 
 def draw_scene(rng: Rng, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
     """Draw one scene as sRGB bytes."""
-    canvas = Canvas(rng, height, width)
+    canvas = SceneCanvas(rng, height, width)
     kinds = (_landscape, _wood, _street, _room, _wall, _hall, _still_life)
     kinds[rng.integers(len(kinds))](rng, canvas)
     return _photograph(rng, canvas.image)
@@ -27,7 +27,7 @@ def draw_scene(rng: Rng, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
 # --- the scenes ------------------------------------------------------------------------------------------------------
 
 
-def _sky(rng: Rng, canvas: Canvas) -> Color:
+def _sky(rng: Rng, canvas: SceneCanvas) -> Color:
     """Clear, cloudy, overcast or dusk; returns the colour at the horizon."""
     top = random_color(rng, (0.52, 0.66), (0.05, 0.75), (0.35, 1))
     pale = rng.random() < 0.7
@@ -42,7 +42,7 @@ def _sky(rng: Rng, canvas: Canvas) -> Color:
     return low
 
 
-def _ridges(rng: Rng, canvas: Canvas, haze: Color) -> None:
+def _ridges(rng: Rng, canvas: SceneCanvas, haze: Color) -> None:
     """Draw hills or mountains, paler the farther they are."""
     draw = ImageDraw.Draw(canvas.image)
     near = random_color(rng, (0.2, 0.65), (0.1, 0.6), (0.1, 0.5))
@@ -57,7 +57,7 @@ def _ridges(rng: Rng, canvas: Canvas, haze: Color) -> None:
         draw.polygon([(0, canvas.height), *outline, (canvas.width + 9, canvas.height)], fill=color)
 
 
-def _tree(rng: Rng, canvas: Canvas, x: float, z: float, leaves: Image.Image) -> None:
+def _tree(rng: Rng, canvas: SceneCanvas, x: float, z: float, leaves: Image.Image) -> None:
     height = rng.uniform(2.5, 9)
     bark = tiles.rough(rng, random_color(rng, (0.03, 0.12), (0.1, 0.5), (0.12, 0.6)), (24, 96), 0.4)
     canvas.upright(x, z, height * rng.uniform(0.03, 0.08), height * 0.8, bark)
@@ -66,7 +66,7 @@ def _tree(rng: Rng, canvas: Canvas, x: float, z: float, leaves: Image.Image) -> 
         canvas.blob(x + rng.normal(0, spread * 0.6), height * rng.uniform(0.65, 1), z, spread, leaves, rng)
 
 
-def _landscape(rng: Rng, canvas: Canvas) -> None:
+def _landscape(rng: Rng, canvas: SceneCanvas) -> None:
     """Draw a meadow, desert, beach, snow or water under the sky."""
     haze = _sky(rng, canvas)
     if rng.random() < 0.7:
@@ -89,7 +89,7 @@ def _landscape(rng: Rng, canvas: Canvas) -> None:
         _thing(rng, canvas, rng.uniform(-0.5, 0.5) * z, z)
 
 
-def _wood(rng: Rng, canvas: Canvas) -> None:
+def _wood(rng: Rng, canvas: SceneCanvas) -> None:
     """Draw leaves all around, trunks from far to near."""
     hue = (0.16, 0.42) if rng.random() < 0.75 else (0.02, 0.16)
     leaves = tiles.foliage(rng, canvas.height // 2, canvas.width // 2, hue)
@@ -109,7 +109,7 @@ def _wood(rng: Rng, canvas: Canvas) -> None:
             canvas.blob(x, rng.uniform(0, 4), z, rng.uniform(0.3, 1.2), leaves, rng)
 
 
-def _street(rng: Rng, canvas: Canvas) -> None:
+def _street(rng: Rng, canvas: SceneCanvas) -> None:
     """Draw a road between facades, with lamps, signs, parked boxes of cars and trees."""
     _sky(rng, canvas)
     canvas.ground(tiles.grid(rng, random_color(rng, saturation=(0, 0.2), value=(0.3, 0.8)), 8, 8, False), 3)
@@ -147,7 +147,7 @@ def _street(rng: Rng, canvas: Canvas) -> None:
             _thing(rng, canvas, middle + side * (half + rng.uniform(0.2, 0.9)), z)
 
 
-def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
+def _thing(rng: Rng, canvas: SceneCanvas, x: float, z: float) -> None:
     """Draw something that stands about: post, sign, lamp, bin, plant, cabinet, stack of boxes."""
     kind = rng.integers(6)
     skin = tiles.rough(rng, random_color(rng, saturation=(0, 0.9)), (32, 64), 0.15)
@@ -180,7 +180,7 @@ def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
             base += size[1]
 
 
-def _room(rng: Rng, canvas: Canvas) -> None:
+def _room(rng: Rng, canvas: SceneCanvas) -> None:
     """Draw a room seen from within: walls with windows, doors and pictures, and furniture."""
     half, height, back = rng.uniform(1.5, 4), rng.uniform(2.3, 3.6), rng.uniform(3, 9)
     canvas.ground(tiles.floor(rng), rng.uniform(0.8, 3))
@@ -209,7 +209,7 @@ def _room(rng: Rng, canvas: Canvas) -> None:
             _furniture(rng, canvas, x, z)
 
 
-def _hang(rng: Rng, canvas: Canvas, span: Span, height: Number, z: float) -> None:
+def _hang(rng: Rng, canvas: SceneCanvas, span: Span, height: Number, z: float) -> None:
     """Draw windows, doors, pictures and shelves on a wall that faces the camera."""
     x = span[0] + rng.uniform(0.1, 0.8)
     while x < span[1] - 0.5:
@@ -240,7 +240,7 @@ def _hang(rng: Rng, canvas: Canvas, span: Span, height: Number, z: float) -> Non
         x += wide + rng.uniform(0.1, 2)
 
 
-def _furniture(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
+def _furniture(rng: Rng, canvas: SceneCanvas, x: float, z: float) -> None:
     """Draw a table, a sofa, a chair or a cupboard, as boxes."""
     cover = tiles.rough(rng, random_color(rng, saturation=(0, 0.8)), (48, 48), 0.12)
     kind = rng.integers(3)
@@ -265,7 +265,7 @@ def _furniture(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
         canvas.box(x, z, (wide, rng.uniform(0.7, 2.2), deep * 0.6), front)
 
 
-def _wall(rng: Rng, canvas: Canvas) -> None:
+def _wall(rng: Rng, canvas: SceneCanvas) -> None:
     """Draw one wall, straight ahead, with a strip of floor before it."""
     z = rng.uniform(2, 7)
     half = 0.75 * canvas.width / canvas.focal * z
@@ -283,7 +283,7 @@ def _wall(rng: Rng, canvas: Canvas) -> None:
         (_thing if rng.random() < 0.6 else _furniture)(rng, canvas, rng.uniform(-0.6, 0.6) * half, near)
 
 
-def _hall(rng: Rng, canvas: Canvas) -> None:
+def _hall(rng: Rng, canvas: SceneCanvas) -> None:
     """Draw a corridor, arcade or store: columns or racks on both sides that run into the distance."""
     canvas.ground(tiles.floor(rng), rng.uniform(1, 3))
     height = rng.uniform(2.6, 7)
@@ -303,7 +303,7 @@ def _hall(rng: Rng, canvas: Canvas) -> None:
         _thing(rng, canvas, rng.uniform(-0.8, 0.8) * half, z)
 
 
-def _still_life(rng: Rng, canvas: Canvas) -> None:
+def _still_life(rng: Rng, canvas: SceneCanvas) -> None:
     """Draw near things on a table or against a wall: boxes, discs, bottles, cloth."""
     back = tiles.surface(rng).resize((canvas.width, canvas.height), Image.Resampling.BILINEAR)
     canvas.image.paste(back)

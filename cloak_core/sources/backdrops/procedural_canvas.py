@@ -17,7 +17,7 @@ NEAR = 0.3
 """Metres: what is nearer to the camera is drawn as if it were this far."""
 
 
-class Canvas:
+class SceneCanvas:
     """An image and the level camera that looks at it: metres, x right, y up from the ground, z ahead."""
 
     def __init__(self, rng: Rng, height: int, width: int) -> None:

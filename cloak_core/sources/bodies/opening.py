@@ -8,7 +8,7 @@ from pathlib import Path
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.selection import select, split_selection
+from cloak_core.files.specs import select, split_selection
 
 SCENES = {
     "sample": "samples:sample_bodies",
@@ -26,7 +26,7 @@ def load_scene(spec: str | Path) -> Bodies:
     Embedded: "sample", "sample:train", "sample:unseen", likewise in cloth "sample-clothed" and "sample-tight"
     (`people.clothed`); drawn: "anny:COUNT[:SEED[:POSES]]" (`people.anny`).
 
-    `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`bodies.selection`). Raises `InputError`.
+    `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`files.specs`). Raises `InputError`.
     """
     whole, selection = split_selection(str(spec))
     name, _, rest = whole.partition(":")

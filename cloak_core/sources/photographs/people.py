@@ -15,7 +15,7 @@ from pathlib import Path
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_text
-from cloak_core.sources.bodies.selection import select, split_selection
+from cloak_core.files.specs import select, split_selection
 from cloak_core.sources.photographs.coco import people_by_image, read_coco
 from cloak_core.sources.photographs.person import Person
 from cloak_core.sources.photographs.reader import Entry, Reader
@@ -65,7 +65,7 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
 
     spec: one file, several with commas between them, a pattern (shards/*.json), or LIST.txt with one of these a line,
     from its own folder. images: the photographs' folder; None: each file's own, or `images` in it. A selection counts
-    or names photographs (see `bodies.selection`). Only annotations of people count (`coco.PERSON_NAMES`); a
+    or names photographs (see `files.specs`). Only annotations of people count (`coco.PERSON_NAMES`); a
     photograph under two names is one, and what is said of it twice counts once. Photographs without anybody to dress
     are not opened, the others again when somebody is drawn. `InputError` names annotation and file for whatever is
     broken or does not fit the picture.

@@ -42,7 +42,7 @@ from cloak_core.studies.card.protocol import (
 )
 from cloak_core.studies.card.words import others_strongest
 from cloak_core.studies.opening import CLOTHES, clothes_cover, open_pattern, run_pattern
-from cloak_core.studies.pace import TRAINED, OnWork, Pace, Work, measured_pace
+from cloak_core.studies.pace import TRAINED, DetectorPace, OnWork, Work, measured_pace
 from cloak_core.studies.store import PEOPLE_CONTROLS, RunStore
 from cloak_core.studies.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.studies.training_store import Trained
@@ -90,15 +90,15 @@ class Assessment:
 
     def _entries(self) -> dict[str, tuple[Path, dict]]:
         """Find the zoo's cloaks that this scene can wear: run folder and its record, by name."""
-        found = {}
+        entries = {}
         for name in shelved() if self.zoo is None else self.zoo:
             path = run_path(name if name.startswith(MARK) else MARK + name)
             config = read_run(path)
             if config.get("topology") == self.split.bodies.topology:
-                found[name.removeprefix(MARK)] = path, config
+                entries[name.removeprefix(MARK)] = path, config
             elif self.zoo is not None:
                 raise InputError(f"{name}: made for another topology than scene '{self.split.bodies.name}'")
-        return found
+        return entries
 
     @cached_property
     def told(self) -> dict:
@@ -163,13 +163,13 @@ class Assessment:
         key = sha256_record([fixed(self.size), self.store.options.seed, list(self.patterns), asked])
         return Work(self.costs(worn), self.folder / "spent.json", key, self.on_work, self.size.seeds)
 
-    def seconds_left(self, pace: Pace | None = None) -> tuple[float, Pace]:
+    def seconds_left(self, pace: DetectorPace | None = None) -> tuple[float, DetectorPace]:
         """Estimate the time of what is not done yet, and the detector's pace. pace: where it is known."""
         # Cards train on one thread.
         pace = pace or measured_pace(self.detector, self.store.options.size, gradient_threads=1)
         return self.work(self._dressing(pace) if self.people else 1.0).seconds_left(pace), pace
 
-    def _dressing(self, pace: Pace) -> float:
+    def _dressing(self, pace: DetectorPace) -> float:
         """Clock two people in photographs, fitted and dressed: a picture's cost, in images that are looked at."""
         few = self.people.first(CLOCKED_PEOPLE)
         started = time.monotonic()
@@ -187,7 +187,7 @@ class Assessment:
 
     def run(self) -> dict:
         """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
-        work, told = self.work(), dict(self.told)
+        work, figures = self.work(), dict(self.told)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         rows: dict[str, list[Results]] = {}
         trained: dict[str, Trained] = {}
@@ -197,7 +197,7 @@ class Assessment:
                     cloak = trained.get(part_of_area(self.size.areas[-1]))
                     worn = self._worn_by_people(cloak, rows)
                     rows["people"] = [self.store.measure_people(worn, self.people, WearSettings(bare=0), self.logo)]
-                    told["photographs"] = {"left_out": self.people.wearers(worn.values()).people.left_out}
+                    figures["photographs"] = {"left_out": self.people.wearers(worn.values()).people.left_out}
                 else:
                     repetitions = self._train(part) if part.steps else [self._untrained(part)]
                     trained[part.name] = repetitions[0]
@@ -205,13 +205,13 @@ class Assessment:
                         self.store.measure_repetitions([one], part.angles, **part.settings) for one in repetitions
                     ]
                 keep_rows(self.folder, part, rows[part.name])
-        told["seconds"] = work.seconds
+        figures["seconds"] = work.seconds
         # Rows of an earlier card of another size, or with people.
         kept = {name for part in self.parts for name in part.files}
         for path in (self.folder / ROWS).glob("*.npz"):
             if path.name not in kept:
                 path.unlink()
-        card = card_of(told, self.size, rows)
+        card = card_of(figures, self.size, rows)
         seen = [(part, trained[part.name].pattern, rows[part.name][0]) for part in self.parts if part.name in trained]
         pictures = keep_pictures(self.folder / "pictures", self.store, seen, card)
         remove_all_leftovers(self.folder)

@@ -25,7 +25,7 @@ from cloak_core.core.pictures import open_picture, save_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.files.reading import MAX_JSON_BYTES, is_number, read_json
-from cloak_core.files.shapes import FLAG, NOTHING, NUMBER, SHARE, Kind, Shape, check_shape
+from cloak_core.files.records import FLAG, NOTHING, NUMBER, SHARE, Kind, Shape, check_shape
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.sources.photographs.fits import UNCOVERED, UNFIT
 from cloak_core.studies.card.figures import card_of, differences, fixed
@@ -118,9 +118,9 @@ def take(shape: Shape, record: dict, path: str) -> dict:
 
     InputError: `path`, and the place of what is missing or of another kind.
     """
-    told = {key: value for key, value in record.items() if value is not None}
-    check_shape(told, shape, path)
-    return _named(shape, told)
+    stated = {key: value for key, value in record.items() if value is not None}
+    check_shape(stated, shape, path)
+    return _named(shape, stated)
 
 
 def _named(shape: Shape, value: object) -> object:
@@ -160,15 +160,15 @@ class Entry:
 def read_told(folder: Path) -> tuple[dict, dict, Size]:
     """Read what a card says, what of it only itself can say (`CARD`), and its size. InputError: see there."""
     path = _plain(folder, "card.json", most=MAX_JSON_BYTES)
-    said = read_card(path)
-    told = take(CARD, said, str(path))
-    if told["size"] not in SIZES:
-        raise InputError(f"{path}: size is {told['size']!r}, none of {', '.join(SIZES)}")
-    if list(told["materials"]["detectors"]) != [told["spec"]]:
-        raise InputError(f"{path}: materials.detectors has no digest of {told['spec']}")
-    size = SIZES[told["size"]]
-    _hold(path, fixed(size), {key: said.get(key) for key in fixed(size)})
-    return said, told, size
+    content = read_card(path)
+    stated = take(CARD, content, str(path))
+    if stated["size"] not in SIZES:
+        raise InputError(f"{path}: size is {stated['size']!r}, none of {', '.join(SIZES)}")
+    if list(stated["materials"]["detectors"]) != [stated["spec"]]:
+        raise InputError(f"{path}: materials.detectors has no digest of {stated['spec']}")
+    size = SIZES[stated["size"]]
+    _hold(path, fixed(size), {key: content.get(key) for key in fixed(size)})
+    return content, stated, size
 
 
 def read_entry(folder: Path) -> Entry:
@@ -176,8 +176,8 @@ def read_entry(folder: Path) -> Entry:
 
     InputError: names the file and the place of the first thing that does not hold.
     """
-    said, told, size = read_told(folder)
-    path, parts = folder / "card.json", parts_of(told, size)
+    content, stated, size = read_told(folder)
+    path, parts = folder / "card.json", parts_of(stated, size)
     files = {name for part in parts for name in part.files}
     for name in sorted(files):
         _plain(folder, ROWS, name, most=MAX_ROWS)
@@ -185,9 +185,9 @@ def read_entry(folder: Path) -> Entry:
         if other.name not in files:
             raise InputError(f"{other}: of no part of the card")
     try:
-        rows = {part.name: [_read_rows(folder, name, part, told, size) for name in part.files] for part in parts}
-        card = card_of(told, size, rows)
-        _hold(path, card, said)
+        rows = {part.name: [_read_rows(folder, name, part, stated, size) for name in part.files] for part in parts}
+        card = card_of(stated, size, rows)
+        _hold(path, card, content)
         pictures, images = _read_pictures(folder, rows, size)
     except InputError:
         raise
@@ -196,8 +196,8 @@ def read_entry(folder: Path) -> Entry:
     return Entry(card, rows, pictures, images)
 
 
-def _hold(path: Path, fresh: dict, said: dict) -> None:
-    wrong = next(differences(fresh, said), None)
+def _hold(path: Path, fresh: dict, stated: dict) -> None:
+    wrong = next(differences(fresh, stated), None)
     if wrong is not None:
         raise InputError(f"{path}: {wrong}")
 
@@ -214,33 +214,33 @@ def _plain(folder: Path, *names: str, most: int) -> Path:
     return path
 
 
-def _read_rows(folder: Path, name: str, part: Part, told: Mapping, size: Size) -> Results:
+def _read_rows(folder: Path, name: str, part: Part, stated: Mapping, size: Size) -> Results:
     """Read one repetition's rows, which have to be of the protocol's images and of this card's detector."""
     path = folder / ROWS / name
     results = read_results(path)
     images, count = results.images, len(results.background_names)
-    asked = _asked_of_people(told, results, size) if part.name == "people" else _asked_of_part(part, told, results)
+    asked = _asked_of_people(stated, results, size) if part.name == "people" else _asked_of_part(part, stated, results)
     columns = (*COLUMNS, *TRUE_BOX, *(("photograph", "seen_from") if part.name == "people" else ()))
     asked |= {
         "columns": (set(results.trials), set(columns)),
-        "detector": (results.detectors, (told["spec"],)),
-        "operating point": (set(images["operating_point"]), {told["operating_point"]}),
-        "number of backgrounds": (count, told["materials"]["unseen_backgrounds"]["count"]),
+        "detector": (results.detectors, (stated["spec"],)),
+        "operating point": (set(images["operating_point"]), {stated["operating_point"]}),
+        "number of backgrounds": (count, stated["materials"]["unseen_backgrounds"]["count"]),
         "scores from 0 to 1": (bool(images["score"].between(0, 1).all()), True),
     }
-    for what, (found, expected) in asked.items():
-        if found != expected:
-            raise InputError(f"{path}: {what}: {found!r:.60}; this card and its size ask for {expected!r:.60}")
+    for what, (actual, expected) in asked.items():
+        if actual != expected:
+            raise InputError(f"{path}: {what}: {actual!r:.60}; this card and its size ask for {expected!r:.60}")
     return results
 
 
-def _asked_of_part(part: Part, told: Mapping, results: Results) -> dict[str, tuple[object, object]]:
+def _asked_of_part(part: Part, stated: Mapping, results: Results) -> dict[str, tuple[object, object]]:
     """Compare the rows of rendered bodies, what there is and what is asked for: the same images in the same order."""
 
     def numbers(trials: pd.DataFrame) -> list:
         return np.nan_to_num(trials[list(COLUMNS)].to_numpy(np.float64), nan=-1).tolist()
 
-    unseen, settings = told["materials"]["unseen"], EvaluateSettings(**part.settings)
+    unseen, settings = stated["materials"]["unseen"], EvaluateSettings(**part.settings)
     count, images = len(results.background_names), results.images
     trials = draw_trials(len(unseen["poses"]), part.angles, count, unseen["outfits"], settings)
     bare = images.loc[(images["control"] == NOBODY).to_numpy(), "background"]
@@ -252,15 +252,15 @@ def _asked_of_part(part: Part, told: Mapping, results: Results) -> dict[str, tup
     }
 
 
-def _asked_of_people(told: Mapping, results: Results, size: Size) -> dict[str, tuple[object, object]]:
+def _asked_of_people(stated: Mapping, results: Results, size: Size) -> dict[str, tuple[object, object]]:
     """Compare the rows of people in photographs: each of them once, in the cloaks and patterns of the card."""
-    people, rendered = told["materials"]["shown_people"]["count"], [row["name"] for row in told["patterns"]]
-    left_out = sum(told["photographs"]["left_out"].get(reason, 0) for reason in (UNFIT, UNCOVERED))
+    people, rendered = stated["materials"]["shown_people"]["count"], [row["name"] for row in stated["patterns"]]
+    left_out = sum(stated["photographs"]["left_out"].get(reason, 0) for reason in (UNFIT, UNCOVERED))
     worn = results.controls[: -len(UNTRAINED)]
     return {
         "people": (results.trials["pose"].tolist(), list(range(people - left_out))),
         "controls": (results.controls[len(worn) :], UNTRAINED),
-        "cloak made against it": (worn.count(AGAINST), int(told["differentiable"])),
+        "cloak made against it": (worn.count(AGAINST), int(stated["differentiable"])),
         "heads": ([name for name in worn if name in (*HEADS, GREY_HEAD)], [*HEADS, GREY_HEAD]),
         "patterns": ([name for name in worn if name in rendered], rendered),
         "size": (len(results.trials) <= size.people and sum("@" in name for name in worn) <= size.patterns, True),
@@ -270,8 +270,8 @@ def _asked_of_people(told: Mapping, results: Results, size: Size) -> dict[str, t
 def _read_pictures(folder: Path, rows: dict[str, list[Results]], size: Size) -> tuple[dict, dict[str, Image.Image]]:
     """Read pictures.json and the pictures that it names; what a picture shows has to be what the rows say."""
     path = _plain(folder, "pictures.json", most=MAX_JSON_BYTES)
-    told, images = take(PICTURES, read_json(path), str(path)), {}
-    for part, shown, files, most in _listed(told, size):
+    stated, images = take(PICTURES, read_json(path), str(path)), {}
+    for part, shown, files, most in _listed(stated, size):
         if "trial" in shown:
             _hold(path, describe(pool(rows[part]), shown["trial"]), {key: shown[key] for key in DESCRIBED})
         for name in files:
@@ -280,16 +280,16 @@ def _read_pictures(folder: Path, rows: dict[str, list[Results]], size: Size) -> 
                 if max(picture.size) > most or part not in rows:
                     raise InputError(f"{Path(*place)}: larger than the card's pictures, or of no part of it")
                 images["/".join(place)] = picture.convert("RGB" if name.endswith(".jpg") else "RGBA")
-    return told, images
+    return stated, images
 
 
-def _listed(told: dict, size: Size) -> Iterator[tuple[str, dict, list[str], int]]:
+def _listed(stated: dict, size: Size) -> Iterator[tuple[str, dict, list[str], int]]:
     """List what pictures.json shows: part, what is said of it, files, and their largest side in pixels."""
-    shots = [("clean", shown) for kind in ("missed", "alarms") for shown in told[kind]]
-    shots += [(part, shown) for part, pairs in told["hidden"].items() for shown in pairs]
+    shots = [("clean", shown) for kind in ("missed", "alarms") for shown in stated[kind]]
+    shots += [(part, shown) for part, pairs in stated["hidden"].items() for shown in pairs]
     for part, shown in shots:
         yield part, shown, [shown[key]["file"] for key in ("clothing", "logo", "bare") if key in shown], size.pixels
-    for shown in told["cloaks"]:
+    for shown in stated["cloaks"]:
         yield shown["part"], shown, [shown[side] for side in SIDES if side in shown], FLAT
 
 

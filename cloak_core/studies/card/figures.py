@@ -84,30 +84,33 @@ def fixed(size: Size) -> dict:
     return {"format": FORMAT, "protocol": VERSION, "size": size.name, "versions": VERSIONS, "counts": counts}
 
 
-def card_of(told: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) -> dict:
+def card_of(stated: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) -> dict:
     """Make a card. told: what it says itself (`entry.CARD`); rows: by part, a table for each repetition.
 
     InputError: people in photographs do not wear the strongest of the zoo's cloaks.
     """
-    spec, tables = told["spec"], {part: pool(repetitions) for part, repetitions in rows.items()}
+    spec, tables = stated["spec"], {part: pool(repetitions) for part, repetitions in rows.items()}
     attacks = {}
-    for part in parts_of(told, size):
+    for part in parts_of(stated, size):
         if part.name not in ("clean", "people"):
             steps = {"steps": part.steps} if part.steps else {}
-            sure = {"state": state_of_attack(part, told["partial_gradient"])}
+            sure = {"state": state_of_attack(part, stated["partial_gradient"])}
             attacks[part.name] = steps | attack_record(tables[part.name], spec) | sure
-    areas = size.areas if told["differentiable"] else ()
-    card = fixed(size) | dict(told) | {"photographs": told.get("photographs")} | clean_figures(tables["clean"], spec)
+    areas = size.areas if stated["differentiable"] else ()
+    card = (
+        fixed(size) | dict(stated) | {"photographs": stated.get("photographs")} | clean_figures(tables["clean"], spec)
+    )
     card["white_box"] = [
-        {"asked": area} | row | attacks[part_of_area(area)] for area, row in zip(areas, told["white_box"], strict=True)
+        {"asked": area} | row | attacks[part_of_area(area)]
+        for area, row in zip(areas, stated["white_box"], strict=True)
     ]
     card["around"] = None
     if "circle" in tables:
         angles = tables["circle"].rows(spec, LOGO).groupby("angle")
         by_angle = {f"{angle:g}": success_rates(seen) for angle, seen in angles}
         card["around"] = attacks["circle"] | {"by_angle": by_angle}
-    card["black_box"] = {"zoo": [row | attacks[f"zoo {row['name']}"] for row in told["black_box"]["zoo"]]}
-    card["patterns"] = [row | attacks[f"pattern {row['name']}"] for row in told["patterns"]]
+    card["black_box"] = {"zoo": [row | attacks[f"zoo {row['name']}"] for row in stated["black_box"]["zoo"]]}
+    card["patterns"] = [row | attacks[f"pattern {row['name']}"] for row in stated["patterns"]]
     if "people" in tables:
         card["photographs"] |= photograph_figures(card, tables["people"])
     return parse_json(json.dumps(card | summary(card)).encode(), "figures")
@@ -116,27 +119,27 @@ def card_of(told: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) ->
 # --- before anything is measured
 
 
-def expected_card(told: Mapping, size: Size, worn: Sequence[str]) -> dict:
+def expected_card(stated: Mapping, size: Size, worn: Sequence[str]) -> dict:
     """Make the card of a call from rows in which a detector finds everybody in own clothing, and nobody else.
 
     told: what the card will say itself (`entry.CARD`); worn: the patterns of people in photographs, by name.
     """
-    zoo = [MARK + row["name"] for row in told["black_box"]["zoo"] if not row["trained_against_it"]]
-    shown = (*[AGAINST] * told["differentiable"], *zoo[:1], *worn, *HEADS, GREY_HEAD, *UNTRAINED)
-    card = card_of(told, size, {part.name: [_expected_rows(part, told, shown)] for part in parts_of(told, size)})
+    zoo = [MARK + row["name"] for row in stated["black_box"]["zoo"] if not row["trained_against_it"]]
+    shown = (*[AGAINST] * stated["differentiable"], *zoo[:1], *worn, *HEADS, GREY_HEAD, *UNTRAINED)
+    card = card_of(stated, size, {part.name: [_expected_rows(part, stated, shown)] for part in parts_of(stated, size)})
     if card["photographs"] and zoo:
         rows = card["photographs"]["rows"]
         rows |= dict.fromkeys(zoo, rows[zoo[0]])  # which of them people wear is known when all are measured
     return {key: value for key, value in card.items() if value is not None}
 
 
-def _expected_rows(part: Part, told: Mapping, shown: Sequence[str]) -> Results:
+def _expected_rows(part: Part, stated: Mapping, shown: Sequence[str]) -> Results:
     """Make up the rows of a part. shown: what people in photographs wear."""
     if part.name == "people":
         controls, bodies = shown, ("front", "side", "back")
         trials = pd.DataFrame({"pose": range(3), "background": 0, "photograph": "", "seen_from": bodies})
     else:
-        settings, unseen = EvaluateSettings(**part.settings), told["materials"]["unseen"]
+        settings, unseen = EvaluateSettings(**part.settings), stated["materials"]["unseen"]
         controls, bodies = (LOGO, *dict.fromkeys((CLOTHING, *settings.controls))), unseen["poses"]
         trials = draw_trials(len(bodies), part.angles, 1, unseen["outfits"], settings)
     trials = trials.assign(**dict.fromkeys(TRUE_BOX, 0.0))
@@ -145,7 +148,7 @@ def _expected_rows(part: Part, told: Mapping, shown: Sequence[str]) -> Results:
     boxes = {name: np.zeros(0, kind) for name, kind in BOX_COLUMNS.items()} | {name: np.zeros(0) for name in CORNERS}
     bare = np.zeros((1, 1), np.float32)
     names = {"body_names": bodies, "background_names": ("",), "other_name": np.full(score.shape, "other")}
-    own = {told["spec"]: told["operating_point"]}
+    own = {stated["spec"]: stated["operating_point"]}
     return make_results(own, controls, trials, score, score, bare, boxes, other=np.ones_like(score), **names)
 
 
@@ -247,9 +250,9 @@ def summary(card: dict) -> dict:
 
 def untested(card: dict) -> list[str]:
     """Say what this card did not measure, for reasons of this detector, its size, or the call."""
-    said = []
+    sentences = []
     if not card["differentiable"]:
-        said.append(
+        sentences.append(
             "No white-box attack: the detector gives no gradients. An attacker who has its weights in another "
             "form may do far better than the cloaks shown here."
         )
@@ -258,37 +261,41 @@ def untested(card: dict) -> list[str]:
         missing = [f"{area:.0%} of the body".replace("%", " %") for area in AREAS if area not in made]
         missing += [] if card["around"] else ["the full circle"]
         if missing:
-            said.append(f"Cloaks made against it for {', '.join(missing)}: not made in a card of size {card['size']}.")
+            sentences.append(
+                f"Cloaks made against it for {', '.join(missing)}: not made in a card of size {card['size']}."
+            )
         if card["partial_gradient"]:
-            said.append(f"The gradient that the attack follows is not all of the answer's: {card['partial_gradient']}.")
+            sentences.append(
+                f"The gradient that the attack follows is not all of the answer's: {card['partial_gradient']}."
+            )
     zoo, photographs, counts = card["black_box"]["zoo"], card["photographs"], card["counts"]
     if all(row["trained_against_it"] for row in zoo):
         why = "those there are were made against it" if zoo else "the zoo holds none for this scene's bodies"
-        said.append(f"No cloak made against other detectors: {why}.")
+        sentences.append(f"No cloak made against other detectors: {why}.")
     if not photographs:
-        said.append("People in photographs: none were given (--people).")
+        sentences.append("People in photographs: none were given (--people).")
     elif photographs["people"] < counts["people"]:
-        said.append(f"{photographs['people']} people in photographs, of {counts['people']} at this size.")
+        sentences.append(f"{photographs['people']} people in photographs, of {counts['people']} at this size.")
     if not card["patterns"] and not any("@" in name for name in worn_rows(card)):
-        said.append("Published patterns: none were given (--patterns).")
-    return said + [f"The pattern {name}: this size has {counts['patterns']}." for name in card["left_patterns"]]
+        sentences.append("Published patterns: none were given (--patterns).")
+    return sentences + [f"The pattern {name}: this size has {counts['patterns']}." for name in card["left_patterns"]]
 
 
-def differences(fresh: object, said: object, place: str = "") -> Iterator[str]:
+def differences(fresh: object, stated: object, place: str = "") -> Iterator[str]:
     """List the places where a card differs from the one that was made anew, both as JSON has them."""
-    if isinstance(fresh, dict) and isinstance(said, dict):
-        for key in dict.fromkeys([*fresh, *said]):
-            if key not in said or key not in fresh:
+    if isinstance(fresh, dict) and isinstance(stated, dict):
+        for key in dict.fromkeys([*fresh, *stated]):
+            if key not in stated or key not in fresh:
                 yield f"{inside(place, key)} is {'missing' if key in fresh else 'no part of a card'}"
             else:
-                yield from differences(fresh[key], said[key], inside(place, key))
-    elif isinstance(fresh, list) and isinstance(said, list) and len(fresh) == len(said):
-        for k, (value, other) in enumerate(zip(fresh, said, strict=True)):
+                yield from differences(fresh[key], stated[key], inside(place, key))
+    elif isinstance(fresh, list) and isinstance(stated, list) and len(fresh) == len(stated):
+        for k, (value, other) in enumerate(zip(fresh, stated, strict=True)):
             yield from differences(value, other, inside(place, row_name(value, k)))
     else:
-        numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in (fresh, said))
-        if not (math.isclose(fresh, said, rel_tol=0, abs_tol=ROUNDING) if numbers else fresh == said):
-            yield f"{place} is {said!r:.80}; computed anew it is {fresh!r:.80}"
+        numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in (fresh, stated))
+        if not (math.isclose(fresh, stated, rel_tol=0, abs_tol=ROUNDING) if numbers else fresh == stated):
+            yield f"{place} is {stated!r:.80}; computed anew it is {fresh!r:.80}"
 
 
 def inside(place: str, key: object) -> str:

@@ -35,13 +35,13 @@ def read_gate(path: Path) -> list[Bound]:
     tables = read_toml(path)
     if set(tables) - set(SIDES) or not all(isinstance(table, dict) for table in tables.values()):
         raise InputError(f"{path}: expected the tables [min] and [max]; found {', '.join(tables)}")
-    found = [(figure, side, value) for side, table in tables.items() for figure, value in flat(table)]
-    for figure, side, value in found:
+    bounds = [(figure, side, value) for side, table in tables.items() for figure, value in flat(table)]
+    for figure, side, value in bounds:
         if not is_number(value):
             raise InputError(f"{path}: {side} {figure} is {value!r}, not a number")
-    if not found:
+    if not bounds:
         raise InputError(f"{path}: holds no bound; expected the tables [min] and [max]")
-    return [Bound(figure, side, float(value)) for figure, side, value in found]
+    return [Bound(figure, side, float(value)) for figure, side, value in bounds]
 
 
 def require_measured(path: Path, bounds: Sequence[Bound], card: dict) -> None:
@@ -66,19 +66,19 @@ def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
     A figure that was not measured breaks its bound, and so does one that may be at most so much where it is only known
     to be at least so much.
     """
-    figures, said = dict(flat(card)), {}
+    figures, problems = dict(flat(card)), {}
     unsure = [place.removesuffix("state") for place, value in figures.items() if value == AT_LEAST and "." in place]
     unsure += ["circle"] if "around." in unsure else []  # the same figure once more
     for bound in bounds:
         value = figures.get(bound.figure)
         if not is_number(value):
-            kept, found = False, "was not measured"
+            kept, measured = False, "was not measured"
         elif bound.side == "max" and value <= bound.value and bound.figure.startswith(tuple(unsure)):
-            kept, found = False, f"is at least {value:g}"
+            kept, measured = False, f"is at least {value:g}"
         else:
-            kept, found = value >= bound.value if bound.side == "min" else value <= bound.value, f"is {value:g}"
-        said[bound] = "" if kept else f"{name_of(card)}: {bound.figure} {found}; the gate asks for {bound}"
-    return said
+            kept, measured = value >= bound.value if bound.side == "min" else value <= bound.value, f"is {value:g}"
+        problems[bound] = "" if kept else f"{name_of(card)}: {bound.figure} {measured}; the gate asks for {bound}"
+    return problems
 
 
 def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:
@@ -87,10 +87,10 @@ def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:
     Control characters, which XML has no way to write, are written out as \\x1b.
     """
     root = ElementTree.Element("testsuites", name="cloak assess")
-    for name, said in checked.items():
-        counts = {"tests": str(len(said)), "failures": str(sum(map(bool, said.values())))}
+    for name, by_bound in checked.items():
+        counts = {"tests": str(len(by_bound)), "failures": str(sum(map(bool, by_bound.values())))}
         suite = ElementTree.SubElement(root, "testsuite", name=one_line(name), **counts)
-        for bound, words in said.items():
+        for bound, words in by_bound.items():
             case = ElementTree.SubElement(suite, "testcase", classname=one_line(name), name=one_line(str(bound)))
             if words:
                 ElementTree.SubElement(case, "failure", message=one_line(words))

@@ -109,32 +109,33 @@ def model_card(card: dict) -> str:
         ["---", *(f"{key}: {json.dumps(value)}" for key, value in front.items()), "---"]
     )  # JSON is YAML, too
     table = "\n".join(markdown_rows([card]))
-    said = [markdown(write(card)) for write in (words.headline, words.lede, words.advice)]
+    paragraphs = [markdown(write(card)) for write in (words.headline, words.lede, words.advice)]
     untested = "\n".join(f"- {markdown(line)}" for line in words.not_tested(card))
-    return "\n\n".join([head, f"# {markdown(name)}", table, *said, "Not tested:", untested]) + "\n"
+    return "\n\n".join([head, f"# {markdown(name)}", table, *paragraphs, "Not tested:", untested]) + "\n"
 
 
 def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
     """Prepare for the template what pictures.json tells, with the pictures as data."""
 
-    def shot(part: str, told: dict) -> dict:
-        return page.shot(folder / place_of(part), [card["spec"]], told)
+    def shot(part: str, shown: dict) -> dict:
+        return page.shot(folder / place_of(part), [card["spec"]], shown)
 
-    def flat(told: dict) -> dict:
-        sides = [side for side in SIDES if side in told]
-        return {side: page.data_uri(folder / place_of(told["part"]) / Path(told[side]).name) for side in sides}
+    def flat(shown: dict) -> dict:
+        sides = [side for side in SIDES if side in shown]
+        return {side: page.data_uri(folder / place_of(shown["part"]) / Path(shown[side]).name) for side in sides}
 
     hidden = pictures.get("hidden", {})
     return {
         "hidden": {
             part: [
-                told | {"own": shot(part, told["clothing"]), "worn": shot(part, told["logo"])} for told in hidden[part]
+                shown | {"own": shot(part, shown["clothing"]), "worn": shot(part, shown["logo"])}
+                for shown in hidden[part]
             ]
             for part in _parts_with_pairs(card, hidden)
         },
-        "missed": [told | {"shot": shot("clean", told["clothing"])} for told in pictures.get("missed", [])],
-        "alarms": [told | {"shot": shot("clean", told["bare"])} for told in pictures.get("alarms", [])],
-        "cloaks": [told | flat(told) for told in pictures.get("cloaks", [])],
+        "missed": [shown | {"shot": shot("clean", shown["clothing"])} for shown in pictures.get("missed", [])],
+        "alarms": [shown | {"shot": shot("clean", shown["bare"])} for shown in pictures.get("alarms", [])],
+        "cloaks": [shown | flat(shown) for shown in pictures.get("cloaks", [])],
     }
 
 
@@ -222,7 +223,7 @@ def keep_pictures(folder: Path, store: RunStore, seen: Sequence[tuple[Part, Patt
     with written(folder):
         folder.mkdir(parents=True)
     spec, own, detectors = card["spec"], card["operating_point"], store.split.detectors
-    found: dict = {"missed": [], "alarms": [], "hidden": {}, "cloaks": []}
+    pictures: dict = {"missed": [], "alarms": [], "hidden": {}, "cloaks": []}
     trials = {part.name: _hidden_trials(results.rows(spec, LOGO), own) for part, _, results in seen}
     paired = _parts_with_pairs(card, trials)
     for part, pattern, results in seen:
@@ -233,18 +234,18 @@ def keep_pictures(folder: Path, store: RunStore, seen: Sequence[tuple[Part, Patt
             rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
             for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
                 shots = draw_trial(place, images, {CLOTHING: patterns[CLOTHING]}, trial, detectors)
-                found["missed"].append(describe(images, trial) | shots)
+                pictures["missed"].append(describe(images, trial) | shots)
             for index in first_by(bare[~hidden(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
                 shot = write_shot(place / f"bare-{index:05d}.jpg", images.bare([index]), detectors)
-                found["alarms"].append({"background": images.background_names[index], "bare": shot})
+                pictures["alarms"].append({"background": images.background_names[index], "bare": shot})
             continue
         if part.name in paired:
             pairs = [draw_pair(place, images, patterns, trial, detectors) for trial in trials[part.name]]
-            found["hidden"][part.name] = pairs
+            pictures["hidden"][part.name] = pairs
         flat = flat_views(store.split.unseen, pattern, FLAT)
         sides = {side: write_flat(place, side, rgba) for side, rgba in flat.items() if side in SIDES}
-        found["cloaks"].append({"part": part.name} | sides)
-    return found
+        pictures["cloaks"].append({"part": part.name} | sides)
+    return pictures
 
 
 def _hidden_trials(rows: pd.DataFrame, own: float) -> list[int]:

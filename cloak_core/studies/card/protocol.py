@@ -126,12 +126,12 @@ def part_of_area(area: float) -> str:
     return f"area {area:.0%}"
 
 
-def parts_of(told: Mapping, size: Size) -> list[Part]:
+def parts_of(stated: Mapping, size: Size) -> list[Part]:
     """List the parts of a card in the order of measuring. told: what a card says itself (`entry.CARD`)."""
-    base = {"size": size.pixels, "shift": min(50, size.pixels // 8), "seed": told["made"]["seed"]}
+    base = {"size": size.pixels, "shift": min(50, size.pixels // 8), "seed": stated["made"]["seed"]}
     # Own clothing and untrained patterns from everywhere, and bare scenes.
     places = (
-        len(CLEAN_ANGLES) * len(CLEAN_ELEVATIONS) * len(CLEAN_DISTANCES) * len(told["materials"]["unseen"]["poses"])
+        len(CLEAN_ANGLES) * len(CLEAN_ELEVATIONS) * len(CLEAN_DISTANCES) * len(stated["materials"]["unseen"]["poses"])
     )
     clean = base | {
         "elevations": CLEAN_ELEVATIONS,
@@ -144,16 +144,16 @@ def parts_of(told: Mapping, size: Size) -> list[Part]:
     worn = base | {"images_per_view": size.images_per_view, "controls": BESIDE, "bare": 1}
     front_angles = tuple(map(float, range(-10, 11, size.front_step)))
     parts = [Part("clean", CLEAN_ANGLES, clean)]
-    if told["differentiable"]:
+    if stated["differentiable"]:
         front = partial(Part, angles=front_angles, settings=worn, steps=size.steps, repetitions=size.seeds)
         parts += [front(part_of_area(area), area=area) for area in size.areas]
         circle_angles = tuple(map(float, range(0, 360, size.circle_step)))
         around = Part("circle", circle_angles, worn, 2 * size.steps, repetitions=size.seeds)
         parts += [around] * size.circle
-    shown = [f"zoo {row['name']}" for row in told["black_box"]["zoo"]]
-    shown += [f"pattern {row['name']}" for row in told["patterns"]]
+    shown = [f"zoo {row['name']}" for row in stated["black_box"]["zoo"]]
+    shown += [f"pattern {row['name']}" for row in stated["patterns"]]
     parts += [Part(name, front_angles, worn) for name in shown]
-    return parts + [Part("people")] * (told.get("photographs") is not None)
+    return parts + [Part("people")] * (stated.get("photographs") is not None)
 
 
 def keep_rows(folder: Path, part: Part, repetitions: Sequence[Results]) -> None:

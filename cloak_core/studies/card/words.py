@@ -134,7 +134,7 @@ def lines(card: dict) -> list[dict]:
 
     Each a sentence (`said`) with one number, which is also a tile (`tiles`).
     """
-    found = []
+    rows = []
     for photographed in (True, False):
         attack = strongest(card, photographed)
         if attack is None:
@@ -142,10 +142,10 @@ def lines(card: dict) -> list[dict]:
         row = attack.row | {"state": AT_LEAST if AT_LEAST in (state(attack.row), whole(card)) else MEASURED}
         where = "In photographs" if photographed else "On rendered bodies"
         share = shown(row).replace("≥", "at least")
-        said = f"{where}, {attack.worn} hides {share} of people from {name_of(card)}."
+        sentence = f"{where}, {attack.worn} hides {share} of people from {name_of(card)}."
         what = "of people in photographs hidden" if photographed else "of people hidden, rendered"
-        found.append(_tile(what, row) | {"said": said})
-    return found
+        rows.append(_tile(what, row) | {"said": sentence})
+    return rows
 
 
 def relation(card: dict) -> str:
@@ -244,13 +244,13 @@ def lede(card: dict) -> str:
 
 def not_tested(card: dict) -> list[str]:
     """List everything a reader must not take for tested: this card's own, then what no card tests."""
-    said = list(card["not_tested"])
+    sentences = list(card["not_tested"])
     if card["white_box"]:
         steps = card["white_box"][-1]["steps"]
         around = f" ({card['around']['steps']} for the full circle)" if card.get("around") else ""
         once = "" if card["counts"]["seeds"] > 1 else ", once"
-        said.append(
+        sentences.append(
             f"Longer attacks: the largest cloak had {steps} updates{around} from one start{once}. "
             "An attacker with more time does as well or better."
         )
-    return said + list(ALWAYS)
+    return sentences + list(ALWAYS)

@@ -65,24 +65,26 @@ class Surer(NamedTuple):
     """The least probability of these persons, below 1."""
 
 
-def answer_distance(said: Answer, wanted: Answer, reading: Reading, surer: Surer | None = None) -> Float[Tensor, " B"]:
+def answer_distance(
+    answer: Answer, wanted: Answer, reading: Reading, surer: Surer | None = None
+) -> Float[Tensor, " B"]:
     """Compare two answers; 0 where both are equal and nothing is to be surer."""
-    said, wanted = (Answer(*(None if part is None else part.float() for part in one)) for one in (said, wanted))
+    answer, wanted = (Answer(*(None if part is None else part.float() for part in one)) for one in (answer, wanted))
     if surer is not None and reading.person is not None:
         wanted = _raised(wanted, reading, surer)
     goal = _probabilities(wanted.kinds, reading)
     if reading.softmax:
-        found = 1 - goal[..., 0]
-        apart = (goal * (wanted.kinds.log_softmax(-1) - said.kinds.log_softmax(-1))).sum(-1)
-        classes = (1 + FOUND_WEIGHT * found) * apart
+        presence = 1 - goal[..., 0]
+        apart = (goal * (wanted.kinds.log_softmax(-1) - answer.kinds.log_softmax(-1))).sum(-1)
+        classes = (1 + FOUND_WEIGHT * presence) * apart
     else:
-        found = goal.amax(-1)
-        classes = ((1 + FOUND_WEIGHT * goal) * _divergence(said.kinds, wanted.kinds)).sum(-1)
-    each_box = F.smooth_l1_loss(said.boxes, wanted.boxes, reduction="none", beta=0.1).sum(-1)
-    boxes = ((found[..., None] if each_box.shape[-1] == 1 else goal) * each_box).sum(-1)
+        presence = goal.amax(-1)
+        classes = ((1 + FOUND_WEIGHT * goal) * _divergence(answer.kinds, wanted.kinds)).sum(-1)
+    each_box = F.smooth_l1_loss(answer.boxes, wanted.boxes, reduction="none", beta=0.1).sum(-1)
+    boxes = ((presence[..., None] if each_box.shape[-1] == 1 else goal) * each_box).sum(-1)
     total = classes + BOX_WEIGHT * boxes
-    if said.trust is not None:
-        total = total + found * _divergence(said.trust, wanted.trust)
+    if answer.trust is not None:
+        total = total + presence * _divergence(answer.trust, wanted.trust)
     return total.sum(1)
 
 
@@ -107,10 +109,10 @@ def _raised(wanted: Answer, reading: Reading, surer: Surer) -> Answer:
     return Answer(kinds, wanted.boxes, trust)
 
 
-def _divergence(said: Float[Tensor, "*shape"], wanted: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+def _divergence(answer: Float[Tensor, "*shape"], wanted: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """Kullback-Leibler divergence of two coins, from their logits; exactly 0 where these are equal."""
     goal = wanted.sigmoid()
-    return _cross_entropy(said, goal) - _cross_entropy(wanted, goal)
+    return _cross_entropy(answer, goal) - _cross_entropy(wanted, goal)
 
 
 def _cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
@@ -161,7 +163,7 @@ def score_distance(
 
 def head_distance(
     heads: Sequence[Head],
-    said: Sequence[Float[Tensor, "B _ _ _"]],
+    answer: Sequence[Float[Tensor, "B _ _ _"]],
     wanted: Sequence[Float[Tensor, "B _ _ _"]],
     person: int,
     found_at: float,
@@ -171,33 +173,33 @@ def head_distance(
 
     person: its class; found_at: the score at which it is reported; surer: what is raised is the objectness.
     """
-    total = torch.zeros(len(said[0]), device=said[0].device)
-    for head, ours, theirs in zip(heads, said, wanted, strict=True):
-        mine, goal = head.split(ours.float()), head.split(theirs.detach().float())
+    total = torch.zeros(len(answer[0]), device=answer[0].device)
+    for head, ours, theirs in zip(heads, answer, wanted, strict=True):
+        student, goal = head.split(ours.float()), head.split(theirs.detach().float())
         objectness = _probability(head, goal[:, :, 4])
-        classes, kinds = _classes(head, mine, goal)
+        classes, kinds = _classes(head, student, goal)
         target = objectness
         if surer is not None:
             reported = (objectness * classes[:, :, person] > found_at) & surer.images.view(-1, 1, 1, 1)
             target = torch.where(reported, objectness.clamp(min=surer.least), objectness)
-        seen = (1 + FOUND_WEIGHT * target) * _coins(_logits(head, mine[:, :, 4]), target)
-        places = (_probability(head, mine[:, :, :2]) - _probability(head, goal[:, :, :2])).square().sum(2)
-        sizes = F.smooth_l1_loss(mine[:, :, 2:4], goal[:, :, 2:4], reduction="none", beta=0.1).sum(2)
+        seen = (1 + FOUND_WEIGHT * target) * _coins(_logits(head, student[:, :, 4]), target)
+        places = (_probability(head, student[:, :, :2]) - _probability(head, goal[:, :, :2])).square().sum(2)
+        sizes = F.smooth_l1_loss(student[:, :, 2:4], goal[:, :, 2:4], reduction="none", beta=0.1).sum(2)
         each = seen + objectness * kinds + BOX_WEIGHT * objectness * (places + sizes)
         total = total + each.flatten(1).sum(1)
     return total
 
 
 def _classes(
-    head: Head, mine: Float[Tensor, "B A C h w"], goal: Float[Tensor, "B A C h w"]
+    head: Head, student: Float[Tensor, "B A C h w"], goal: Float[Tensor, "B A C h w"]
 ) -> tuple[Float[Tensor, "B A K h w"], Float[Tensor, "B A h w"]]:
     """Compute the wanted classes' probabilities, and their Kullback-Leibler divergence from those said."""
-    mine, goal = mine[:, :, 5:], goal[:, :, 5:]
+    student, goal = student[:, :, 5:], goal[:, :, 5:]
     if isinstance(head, Region) and head.softmax:
         classes = goal.softmax(2)
-        return classes, (classes * (goal.log_softmax(2) - mine.log_softmax(2))).sum(2)
+        return classes, (classes * (goal.log_softmax(2) - student.log_softmax(2))).sum(2)
     classes = _probability(head, goal)
-    return classes, _coins(_logits(head, mine), classes).sum(2)
+    return classes, _coins(_logits(head, student), classes).sum(2)
 
 
 def _probability(head: Head, raw: Tensor) -> Tensor:

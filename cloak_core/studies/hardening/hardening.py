@@ -53,7 +53,7 @@ _NOISE = 5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Material:
+class HardenMaterial:
     """What a detector is hardened on."""
 
     bodies: Bodies
@@ -87,7 +87,7 @@ class HardenResult:
 def harden(
     settings: HardenSettings,
     student: Student,
-    material: Material,
+    material: HardenMaterial,
     out: Path,
     *,
     resume: bool = False,
@@ -115,7 +115,7 @@ def harden(
         return Hardening(settings, student, pool, pictures, folder, on_event).run_to_end(stop)
 
 
-def _config(settings: HardenSettings, student: Student, material: Material) -> dict:
+def _config(settings: HardenSettings, student: Student, material: HardenMaterial) -> dict:
     """Make config.json: what decides the result, and where it ran."""
     bodies, photographs = material.bodies, material.photographs
     return {

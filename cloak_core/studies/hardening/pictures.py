@@ -72,8 +72,8 @@ class Pictures:
             without[k] = self._part(rng, photograph=bool(k % 2))
             clear = []
             if k % 2 and self.photographs is not None:
-                found = person_boxes(self.teacher(without[k][None].to(self.pool.device)), MAYBE_PERSON)[0]
-                clear = found[:, :4].tolist()
+                boxes = person_boxes(self.teacher(without[k][None].to(self.pool.device)), MAYBE_PERSON)[0]
+                clear = boxes[:, :4].tolist()
             shown[k] = draw_decoy(without[k], self.textures(rng), rng, self._silhouette(rng), clear)
         return Decoys(shown.to(self.pool.device), without.to(self.pool.device))
 
@@ -113,15 +113,15 @@ def check_places(backgrounds: Backgrounds, detector: Detector, size: int, source
     size: side of the images, pixels; source: where they come from. A warning names those in which it reports a person.
     InputError: it does in more than a tenth of them.
     """
-    found = []
+    problems = []
     for number, name in enumerate(backgrounds.names):
         image = backgrounds.image(number, (size, size))[None].to(detector.device).float() / 255
         if float(max_person_score(detector(image))[0]) > detector.operating_point:
-            found.append(name)
-    if not found:
+            problems.append(name)
+    if not problems:
         return
-    shown = ", ".join(found[:NAMED]) + (", ..." if len(found) > NAMED else "")
-    words = f"{source}: somebody is in {len(found)} of {len(backgrounds)} backgrounds ({shown})"
-    if len(found) > MOST_WITH_PEOPLE * len(backgrounds):
+    shown = ", ".join(problems[:NAMED]) + (", ..." if len(problems) > NAMED else "")
+    words = f"{source}: somebody is in {len(problems)} of {len(backgrounds)} backgrounds ({shown})"
+    if len(problems) > MOST_WITH_PEOPLE * len(backgrounds):
         raise InputError(f"{words}; backgrounds show nobody, photographs of people go to --photos or --people")
     _log.warning("%s, says the detector; take out those that show people", words)

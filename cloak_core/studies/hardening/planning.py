@@ -11,7 +11,7 @@ from pathlib import Path
 from cloak_core.core.events import OnEvent, read_events
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
-from cloak_core.studies.hardening.hardening import Material, harden
+from cloak_core.studies.hardening.hardening import HardenMaterial, harden
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 
@@ -47,7 +47,7 @@ def plan(settings: HardenSettings, pace: float, hours: float) -> tuple[HardenSet
 
 
 def measure_pace(
-    settings: HardenSettings, student: Student, material: Material, on_event: OnEvent | None = None
+    settings: HardenSettings, student: Student, material: HardenMaterial, on_event: OnEvent | None = None
 ) -> float:
     """Measure the seconds that an update takes with all that belongs to it. Arguments as for `harden`.
 

@@ -57,7 +57,7 @@ class Student(ABC):
         """Ask the student's or the teacher's network about images: an answer, or a raw map for each head."""
 
     @abstractmethod
-    def compare(self, said: Any, wanted: Any, surer: Surer | None) -> Float[Tensor, " B"]:
+    def compare(self, answer: Any, wanted: Any, surer: Surer | None) -> Float[Tensor, " B"]:
         """Measure how far an answer is from that wanted; see `distance`."""
 
     @abstractmethod
@@ -68,8 +68,8 @@ class Student(ABC):
     @torch.no_grad()
     def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Any:
         """Ask the teacher, for `distance`: its k-th image is to be answered as images[rows[k]] is."""
-        said = self.answer(self.teacher, images)
-        return [raw[rows] for raw in said] if isinstance(said, list) else said.of(rows)
+        answer = self.answer(self.teacher, images)
+        return [raw[rows] for raw in answer] if isinstance(answer, list) else answer.of(rows)
 
     def distance(
         self, images: Float[Tensor, "B 3 H W"], wanted: Any, surer: Surer | None = None

@@ -86,9 +86,9 @@ class DarknetStudent(Student):
         with self.autocast(images):
             return detector.network(inputs.contiguous(memory_format=detector.memory_format))
 
-    def compare(self, said: list[Tensor], wanted: list[Tensor], surer: Surer | None) -> Float[Tensor, " B"]:
+    def compare(self, answer: list[Tensor], wanted: list[Tensor], surer: Surer | None) -> Float[Tensor, " B"]:
         own = self.detector
-        return head_distance(own.network.heads, said, wanted, own.person, own.operating_point, surer)
+        return head_distance(own.network.heads, answer, wanted, own.person, own.operating_point, surer)
 
     def save(self, stem: Path, seen: int) -> str:
         write_darknet(self.cfg, self.network, stem, seen)
@@ -135,16 +135,16 @@ class UltralyticsStudent(Student):
         return Answer(torch.cat([rows(kind) for _, kind in maps], dim=1), boxes.unsqueeze(2))
 
     def compare(
-        self, said: Answer | list[Tensor], wanted: Answer | list[Tensor], surer: Surer | None
+        self, answer: Answer | list[Tensor], wanted: Answer | list[Tensor], surer: Surer | None
     ) -> Float[Tensor, " B"]:
         own, head, point = self.detector, self.head, self.detector.operating_point
         if not isinstance(head, AnchorHead):
             reading = Reading(softmax=False, person=own.person, found_at=point)
-            return answer_distance(said, wanted, reading, surer)
+            return answer_distance(answer, wanted, reading, surer)
         # YOLOv5's raw maps are in each anchor box, objectness and classes, as Darknet has them.
         classes = head.m[0].out_channels // head.anchors.shape[1] - 5
         heads = [Yolo([tuple(a) for a in level], classes, 1.0, new_coords=False) for level in head.anchors.tolist()]
-        return head_distance(heads, said, wanted, own.person, point, surer)
+        return head_distance(heads, answer, wanted, own.person, point, surer)
 
     def save(self, stem: Path, seen: int) -> str:
         path = stem.with_suffix(".pt")
@@ -169,11 +169,11 @@ class OnnxStudent(Student):
             decoded = detector.answer(detector.pixels.apply(inputs))
         return answer_of(decoded.scores, decoded.boxes)
 
-    def compare(self, said: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
+    def compare(self, answer: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
         own = self.detector
         if own.weights.chooses:
-            wanted = in_the_order_of(said, wanted)
-        return score_distance(said, wanted, own.person, own.operating_point, surer)
+            wanted = in_the_order_of(answer, wanted)
+        return score_distance(answer, wanted, own.person, own.operating_point, surer)
 
     def save(self, stem: Path, seen: int) -> str:
         """See `Student.save`. InputError: the file that was begun with is there no more, or has changed."""
@@ -190,8 +190,8 @@ class OnnxStudent(Student):
 
     @property
     def licence(self) -> str:
-        said = read_model(self.detector.path).first("licence")
-        return said or f"unknown; {self.detector.path.name} does not say, ask those who made it"
+        words = read_model(self.detector.path).first("licence")
+        return words or f"unknown; {self.detector.path.name} does not say, ask those who made it"
 
     def _describe(self, target: Path, facts: dict[str, object]) -> None:
         """Write beside the new file its facts, with what was said beside the old one and holds on, or names of classes.
@@ -260,16 +260,16 @@ class PythonStudent(Student):
         # The teacher's precision is its own.
         half = detector.precision == "bfloat16"
         with torch.autocast(images.device.type, torch.bfloat16, enabled=half):
-            found = detector.detect(images)
-        scores = [found.scores] if found.other is None else [found.scores, found.other]
-        return answer_of(torch.stack(scores, dim=-1), found.boxes)
+            detections = detector.detect(images)
+        scores = [detections.scores] if detections.other is None else [detections.scores, detections.other]
+        return answer_of(torch.stack(scores, dim=-1), detections.boxes)
 
-    def compare(self, said: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
-        if said.boxes.shape != wanted.boxes.shape:
+    def compare(self, answer: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
+        if answer.boxes.shape != wanted.boxes.shape:
             raise InputError(
                 f"harden {self.spec}: answers other numbers of boxes for other weights; return them all, unsuppressed"
             )
-        return score_distance(said, wanted, 0, self.detector.operating_point, surer)
+        return score_distance(answer, wanted, 0, self.detector.operating_point, surer)
 
     def save(self, stem: Path, seen: int) -> str:
         file, function = self.request.parts

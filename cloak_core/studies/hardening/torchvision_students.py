@@ -52,11 +52,11 @@ class DenseStudent(TorchvisionStudent):
         trust = outputs["bbox_ctrness"][..., 0] if "bbox_ctrness" in outputs else None
         return Answer(outputs["cls_logits"], outputs["bbox_regression"].unsqueeze(2), trust)
 
-    def compare(self, said: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
+    def compare(self, answer: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
         own, point = self.detector, self.detector.operating_point
         # FCOS' score is the root of the product.
         found_at = point**2 if isinstance(own.model, FCOS) else point
-        return answer_distance(said, wanted, Reading(isinstance(own.model, SSD), own.person, found_at), surer)
+        return answer_distance(answer, wanted, Reading(isinstance(own.model, SSD), own.person, found_at), surer)
 
 
 class Stages(NamedTuple):
@@ -105,12 +105,12 @@ class TwoStageStudent(TorchvisionStudent):
     ) -> Float[Tensor, " B"]:
         return self.compare(self.answer(self.detector, images, wanted.proposals), wanted, surer)
 
-    def compare(self, said: Stages, wanted: Stages, surer: Surer | None) -> Float[Tensor, " B"]:
-        own, device = self.detector, said.anchors.kinds.device
+    def compare(self, answer: Stages, wanted: Stages, surer: Surer | None) -> Float[Tensor, " B"]:
+        own, device = self.detector, answer.anchors.kinds.device
         counts = torch.tensor([len(boxes) for boxes in wanted.proposals], device=device)
         image = torch.repeat_interleave(torch.arange(len(counts), device=device), counts)
         if surer is not None:
             surer = surer._replace(images=surer.images[image])
         reading = Reading(softmax=True, person=own.person, found_at=own.operating_point)
-        each = answer_distance(said.judged, wanted.judged, reading, surer)
-        return answer_distance(said.anchors, wanted.anchors, Reading(softmax=False)).index_add(0, image, each)
+        each = answer_distance(answer.judged, wanted.judged, reading, surer)
+        return answer_distance(answer.anchors, wanted.anchors, Reading(softmax=False)).index_add(0, image, each)

@@ -23,7 +23,7 @@ from cloak_core.core.evaluation.settings import JudgeSettings
 from cloak_core.core.evaluation.statistics import hidden
 from cloak_core.core.pictures import open_picture
 from cloak_core.files.errors import InputError
-from cloak_core.files.tables import as_cell
+from cloak_core.files.records import as_cell
 from cloak_core.files.writing import write_json, write_text, written
 from cloak_core.sources.bodies import videos
 from cloak_core.studies.judging.listing import NOBODY, WITH, WITHOUT, Subject, list_subjects
@@ -122,8 +122,8 @@ def look(
             seen = []  # half a video
             skipped.append(str(error).removeprefix(f"{folder}/"))  # others need not know where it lay
             _log.warning("%s; skipped", error)
-        for picture, found in seen:
-            rows += [row | {"picture": len(pictures)} for row in found]
+        for picture, detections in seen:
+            rows += [row | {"picture": len(pictures)} for row in detections]
             pictures.append(picture if len(pictures) < MOST_THUMBNAILS else replace(picture, thumbnail=""))
         if on_progress:
             on_progress(done + 1, len(by_file))
@@ -161,26 +161,26 @@ def _look_at(
     """Show one picture (file and frame) to every detector: what is kept of it, and a row per subject and detector."""
     rows, boxes = [], {}
     for spec, detector in detectors.items():
-        found = detector(torch.from_numpy(image).to(detector.device).permute(2, 0, 1)[None].float() / 255)
+        detections = detector(torch.from_numpy(image).to(detector.device).permute(2, 0, 1)[None].float() / 255)
         point = float(detector.operating_point)
-        boxes[spec] = person_boxes(found, min(settings.threshold, point))[0].tolist()
+        boxes[spec] = person_boxes(detections, min(settings.threshold, point))[0].tolist()
         for one in people:
             label = vars(one) | {"place": one.place, "boxed": one.box is not None, "frame": named[1]}
-            told = {"detector": spec, "operating_point": point, "other": math.nan, "other_name": ""}
-            rows.append(label | told | _scores(detector, found, one.box, scale, settings.iou))
+            figures = {"detector": spec, "operating_point": point, "other": math.nan, "other_name": ""}
+            rows.append(label | figures | _scores(detector, detections, one.box, scale, settings.iou))
     small = Image.fromarray(image)
     small.thumbnail((THUMBNAIL, THUMBNAIL))
     return Picture(*named, image.shape[1], image.shape[0], scale, boxes, jpeg_uri(small, quality=88)), rows
 
 
-def _scores(detector: Detector, found: Detections, box: tuple | None, scale: float, iou: float) -> dict:
+def _scores(detector: Detector, detections: Detections, box: tuple | None, scale: float, iou: float) -> dict:
     """Tell what is reported of one person, as columns; of other classes only where the person's box is known."""
     if box is None:
-        return {"score": float(max_person_score(found)[0])}
+        return {"score": float(max_person_score(detections)[0])}
     true = torch.tensor([box], dtype=torch.float32) * scale
-    told = image_scores(detector, found, on_body(found, true, iou, within=math.inf))
-    told["score"] = told.pop("score_on")
-    return {name: values[0] for name, values in told.items()}
+    scores = image_scores(detector, detections, on_body(detections, true, iou, within=math.inf))
+    scores["score"] = scores.pop("score_on")
+    return {name: values[0] for name, values in scores.items()}
 
 
 def _read(path: Path, settings: JudgeSettings) -> Iterator[Image.Image]:
@@ -209,7 +209,7 @@ def _table_text(rows: pd.DataFrame) -> str:
     by_detector = dict(list(rows.groupby("detector", sort=False)))
     table = next(iter(by_detector.values()))[[*columns]].rename(columns=columns)
     table["box"] = ["" if box is None else " ".join(f"{x:g}" for x in box) for box in table["box"]]
-    scores = {spec: [f"{score:.4f}" for score in mine["score"]] for spec, mine in by_detector.items()}
+    scores = {spec: [f"{score:.4f}" for score in group["score"]] for spec, group in by_detector.items()}
     return table.assign(**scores).map(as_cell).rename(columns=as_cell).to_csv(index=False, lineterminator="\n")
 
 
@@ -223,13 +223,13 @@ GROUPS = {"by_person": "person", "by_scene": "scene", "by_distance": "distance (
 def write_report(path: Path, name: str, summary: dict, rows: pd.DataFrame, pictures: Sequence[Picture]) -> Path:
     """Write the report of `judge` and return its path; rows, pictures: what `look` returned."""
     by_detector = {
-        str(spec): mine.reset_index(drop=True) for spec, mine in rows.groupby("detector", sort=False, observed=True)
+        str(spec): group.reset_index(drop=True) for spec, group in rows.groupby("detector", sort=False, observed=True)
     }
     subjects = next(iter(by_detector.values()))
-    scores = [(short_name(spec), mine["score"].to_numpy()) for spec, mine in by_detector.items()]
+    scores = [(short_name(spec), group["score"].to_numpy()) for spec, group in by_detector.items()]
     shot = lambda i: _shot(subjects.loc[i], pictures, [(name, float(score[i])) for name, score in scores])
     with page.page_style():
-        detectors = [_detector(summary, spec, mine, shot) for spec, mine in by_detector.items()]
+        detectors = [_detector(summary, spec, group, shot) for spec, group in by_detector.items()]
     values = {
         "name": name,
         "summary": summary,
@@ -252,24 +252,24 @@ def shown_pairs(subjects: pd.DataFrame) -> list[tuple[int, int]]:
 
 
 def _detector(summary: dict, spec: str, rows: pd.DataFrame, shot: object) -> dict:
-    told = summary["detectors"][spec]
-    table = [(LABELS[WITH], told[WITH], "--c0"), (LABELS[WITHOUT], told[WITHOUT], "--c1")]
-    table += [(name, rates, f"--c{2 + k % 4}") for k, (name, rates) in enumerate(told["controls"].items())]
+    figures = summary["detectors"][spec]
+    table = [(LABELS[WITH], figures[WITH], "--c0"), (LABELS[WITHOUT], figures[WITHOUT], "--c1")]
+    table += [(name, rates, f"--c{2 + k % 4}") for k, (name, rates) in enumerate(figures["controls"].items())]
     gone = hidden(rows, summary["threshold"])
 
     def worst(garment: str, missed: bool) -> list[dict]:
-        mine = rows[(rows["garment"] == garment).to_numpy() & (gone == missed)]
-        return [shot(i) for i in mine.sort_values("score", ascending=missed, kind="stable").index[:WORST]]
+        candidates = rows[(rows["garment"] == garment).to_numpy() & (gone == missed)]
+        return [shot(i) for i in candidates.sort_values("score", ascending=missed, kind="stable").index[:WORST]]
 
-    by_distance = told.get("by_distance", {})
+    by_distance = figures.get("by_distance", {})
     return {
         "spec": spec,
         "name": short_name(spec),
         "own": summary["operating_points"][spec],
         "hash": summary["detector_hashes"][spec],
         "rows": table,
-        "told": told,
-        "groups": {title: list(told[key].items()) for key, title in GROUPS.items() if len(told.get(key, {})) > 1},
+        "told": figures,
+        "groups": {title: list(figures[key].items()) for key, title in GROUPS.items() if len(figures.get(key, {})) > 1},
         "figure": page.svg(plots.found_by_distance(by_distance, LABELS)) if len(by_distance) > 1 else None,
         "found": worst(WITH, missed=False),
         "missed": worst(WITHOUT, missed=True),
@@ -281,18 +281,18 @@ def _shot(subject: pd.Series, pictures: Sequence[Picture], scores: list[tuple[st
     """Prepare a subject's picture with all boxes, and what each detector makes of the subject."""
     picture = pictures[subject["picture"]]
     scale = min(1.0, 480 / max(picture.width, picture.height))
-    told = subject["box"] and page.box(0, [scale * picture.scale * x for x in subject["box"]], 0.0)
+    person_box = subject["box"] and page.box(0, [scale * picture.scale * x for x in subject["box"]], 0.0)
     metres = "" if np.isnan(subject["distance"]) else f"{subject['distance']:g} m"
     boxes = [
         page.box(d, [scale * x for x in box[:4]], box[4])
-        for d, found in enumerate(picture.boxes.values())
-        for box in found
+        for d, detector_boxes in enumerate(picture.boxes.values())
+        for box in detector_boxes
     ]
     return {
         "image": picture.thumbnail,
         "width": round(picture.width * scale),
         "height": round(picture.height * scale),
-        "told": told,
+        "told": person_box,
         "boxes": boxes,
         "label": " · ".join(filter(None, (subject["person"], subject["scene"], metres))) or subject["file"],
         "garment": LABELS.get(subject["garment"], subject["garment"]),

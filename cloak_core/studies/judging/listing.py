@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
-from cloak_core.files.tables import number, read_table
+from cloak_core.files.records import number, read_table
 from cloak_core.sources.bodies import videos
 
 WITH, WITHOUT, NOBODY = "with", "without", "nobody"
@@ -66,11 +66,11 @@ def list_subjects(
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
     if table is None and (folder / LIST).exists():
         table = folder / LIST
-    found = list(_by_folders(folder, leave) if table is None else _by_table(folder, table))
-    if not any(subject.garment in (WITH, WITHOUT) for subject in found):
-        said = f"{folder / WITH} and {folder / WITHOUT}" if table is None else f"{table}"
-        raise InputError(f"{said}: no picture of anybody")
-    return found if boxes is None else list(_with_boxes(found, folder, boxes))
+    subjects = list(_by_folders(folder, leave) if table is None else _by_table(folder, table))
+    if not any(subject.garment in (WITH, WITHOUT) for subject in subjects):
+        places = f"{folder / WITH} and {folder / WITHOUT}" if table is None else f"{table}"
+        raise InputError(f"{places}: no picture of anybody")
+    return subjects if boxes is None else list(_with_boxes(subjects, folder, boxes))
 
 
 def _by_folders(folder: Path, leave: Sequence[Path]) -> Iterator[Subject]:
@@ -114,19 +114,19 @@ def _by_table(folder: Path, table: Path) -> Iterator[Subject]:
 
 def _with_boxes(subjects: list[Subject], folder: Path, table: Path) -> Iterator[Subject]:
     """Give each subject the table's boxes for its picture: its own person's row where that is named, else all rows."""
-    told: dict[str, list[tuple[str, tuple]]] = {}
+    boxes_by_file: dict[str, list[tuple[str, tuple]]] = {}
     for row in read_table(table, ("file", "person", *BOX), ["file", *BOX]):
         box = _box(row, table)
         if box is None or "file" not in row:
             raise InputError(f"{table}: a row without a whole box, or without a file")
-        told.setdefault(_inside(folder, row["file"], table), []).append((row.get("person", ""), box))
-    unknown = sorted(set(told) - {subject.file for subject in subjects})
+        boxes_by_file.setdefault(_inside(folder, row["file"], table), []).append((row.get("person", ""), box))
+    unknown = sorted(set(boxes_by_file) - {subject.file for subject in subjects})
     if unknown:
         raise InputError(f"{table}: '{unknown[0]}' is none of the pictures")
     for subject in subjects:
-        rows = told.get(subject.file, [(subject.person, subject.box)])
-        mine = [row for row in rows if row[0] == subject.person] if len(rows) > 1 and subject.person else []
-        for person, box in mine or rows:
+        rows = boxes_by_file.get(subject.file, [(subject.person, subject.box)])
+        own_rows = [row for row in rows if row[0] == subject.person] if len(rows) > 1 and subject.person else []
+        for person, box in own_rows or rows:
             yield replace(subject, person=person or subject.person, box=box)
 
 

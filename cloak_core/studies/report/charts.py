@@ -141,10 +141,10 @@ class Lines:
         if not panels:
             return None
         figure, axes = new_figure(*self.size, len(panels), sharey=True)
-        for axis, (panel, mine) in zip(axes, panels.items(), strict=True):
-            values, scale = sorted(set(column(mine + crosses, self.x))), 100 if self.x in PERCENT else 1
+        for axis, (panel, panel_rows) in zip(axes, panels.items(), strict=True):
+            values, scale = sorted(set(column(panel_rows + crosses, self.x))), 100 if self.x in PERCENT else 1
             places = {value: k if self.even else scale * value for k, value in enumerate(values)}
-            for value, line in group(mine, self.series).items():
+            for value, line in group(panel_rows, self.series).items():
                 k = series.index(value)
                 look = {"label": names.get(value) or self.label.format(value)} | look_of(k, value)
                 if value in SERIES and (self.x == "threshold" or len(line) > MOST_MARKERS):
@@ -217,7 +217,7 @@ class Bars:
         lines, panels = list(group(rows, self.y)), group(rows, self.panel)
         room = 0.28 if not self.series else max(0.42, 0.1 * len(group(rows, self.series)))
         figure, axes = new_figure(WIDTH, 1.0 + room * len(lines), len(panels), sharey=True)
-        for axis, (panel, mine) in zip(axes, panels.items(), strict=True):
+        for axis, (panel, panel_rows) in zip(axes, panels.items(), strict=True):
             axis.set(xlim=(-0.02, 1.02), xlabel=self.rate)
             axis.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])  # short enough for panels beside each other
             axis.set_xticks([0.25, 0.75], minor=True)
@@ -225,7 +225,7 @@ class Bars:
             axis.set_yticks(range(len(lines)), [names.get(line, str(line)) for line in lines])
             axis.set_ylim(len(lines) - 0.5, -0.5)
             axis.grid(axis="y", visible=False)
-            series = self._series(rows, mine)
+            series = self._series(rows, panel_rows)
             for k, (label, (shown, keys, value)) in enumerate(series.items()):
                 aside = (0.3 if len(series) < 3 else 0.6) * (k - (len(series) - 1) / 2) / max(1, len(series) - 1)
                 look = look_of(k, value)
@@ -233,20 +233,24 @@ class Bars:
                 at = [lines.index(row[self.y]) + aside for row in shown]
                 axis.errorbar(floats(shown, *keys[:1]), at, xerr=errors(shown, *keys), lw=1.2, clip_on=False, **look)
             for k, control in enumerate(self.controls, 1):
-                at = [lines.index(row[self.y]) + 0.15 * k for row in mine]
-                axis.plot(column(mine, control), at, **look_of(0, control) | {"ls": ""})
+                at = [lines.index(row[self.y]) + 0.15 * k for row in panel_rows]
+                axis.plot(column(panel_rows, control), at, **look_of(0, control) | {"ls": ""})
             panel_title(axis, names.get(panel, str(panel)), len(panels))
         legend_above(figure)
         return figure
 
-    def _series(self, rows: Rows, mine: Rows) -> dict[str, tuple[Rows, tuple[str, ...], object]]:
+    def _series(self, rows: Rows, panel_rows: Rows) -> dict[str, tuple[Rows, tuple[str, ...], object]]:
         """List a panel's rows, the columns of their rates, and their value by label; colours agree between panels."""
         if self.own:
-            own = mine, ("success_own", "own_low", "own_high"), None
-            return {f"threshold {THRESHOLD:g}": (mine, (), None), "own operating point": own}
+            own = panel_rows, ("success_own", "own_low", "own_high"), None
+            return {f"threshold {THRESHOLD:g}": (panel_rows, (), None), "own operating point": own}
         labels = self.labels or ({"": SERIES[LOGO].label} if self.controls else {})
         return {
-            labels.get(value, str(value)): (select(mine, **{self.series: value}) if self.series else mine, (), value)
+            labels.get(value, str(value)): (
+                select(panel_rows, **{self.series: value}) if self.series else panel_rows,
+                (),
+                value,
+            )
             for value in group(rows, self.series)
         }
 
@@ -262,12 +266,12 @@ class Rings:
         """Draw the rows that have an angle; the last ring alone has its band: on a circle only one can be read."""
         rings = group([row for row in select(rows, **self.where) if row["angle"] != "all"], self.series)
         figure, (axis,) = new_figure(WIDTH * 0.75, 4.2, subplot_kw={"projection": "polar"})
-        for k, (label, mine) in enumerate(rings.items()):
-            closed = [*mine, mine[0]]
+        for k, (label, panel_rows) in enumerate(rings.items()):
+            closed = [*panel_rows, panel_rows[0]]
             at, look = np.unwrap(np.radians(column(closed, "angle"))), look_of(k) | {"marker": None, "label": label}
             axis.plot(at, floats(closed), **look)
         axis.fill_between(at, floats(closed, "low"), floats(closed, "high"), color=look["color"], alpha=0.12, lw=0)
-        if CLOTHING in mine[0]:
+        if CLOTHING in panel_rows[0]:
             axis.plot(at, column(closed, CLOTHING), color=INK, ls=":", lw=1.2, label=SERIES[CLOTHING].label)
         axis.set_theta_zero_location("S")  # the front at the bottom, as the camera sees it at azimuth 0
         axis.set_ylim(0, 1)
@@ -294,8 +298,8 @@ def publish_rows(folder: Path, table: str, study: str, rows: Rows, made: Mapping
     shown = [
         {key: names.get(str(value), value) if key in SPECS else value for key, value in row.items()} for row in rows
     ]
-    told = {key: without_folders(value) if key == "command" else value for key, value in made.items()}
-    _replace(folder / "studies.csv", f"{table}/{study}", [told])
+    provenance = {key: without_folders(value) if key == "command" else value for key, value in made.items()}
+    _replace(folder / "studies.csv", f"{table}/{study}", [provenance])
     return _replace(folder / f"{table}.csv", study, shown)
 
 

@@ -106,8 +106,8 @@ def shot(folder: Path, specs: Sequence[str], picture: Mapping) -> dict:
     Returns its data, its boxes, and (detector's number, found, best score) of every detector.
     """
     boxes = [box(d, b[:4], b[4]) for d, spec in enumerate(specs) for b in picture["boxes"].get(spec, [])]
-    found = [(d, bool(picture["boxes"].get(spec)), picture["scores"].get(spec, 0)) for d, spec in enumerate(specs)]
-    return {"image": data_uri(folder / Path(picture["file"]).name), "boxes": boxes, "found": found}
+    verdicts = [(d, bool(picture["boxes"].get(spec)), picture["scores"].get(spec, 0)) for d, spec in enumerate(specs)]
+    return {"image": data_uri(folder / Path(picture["file"]).name), "boxes": boxes, "found": verdicts}
 
 
 def box(detector: int, corners: Sequence[float], score: float) -> dict:

@@ -56,19 +56,19 @@ def write_pictures(
     trials = complete(images.trials)
     shown = gallery_trials(trials)
     middle = shown[len(shown) // (2 * trials.loc[shown, "pose"].nunique())]
-    found = {
+    detections = {
         "thresholds": {spec: float(detector.operating_point) for spec, detector in detectors.items()},
         "gallery": [pair(trial) for trial in shown],
         "failures": {},
         "worst": {},
         "controls": describe(images, middle) | {"images": draw_trial(folder, images, patterns, middle, detectors)},
     }
-    for spec, threshold in found["thresholds"].items():
+    for spec, threshold in detections["thresholds"].items():
         rows = results.rows(spec, LOGO)
         failures = first_by(rows[~hidden(rows, threshold)], FAILURES)["image"].tolist()
-        found["failures"][spec] = [pair(trial) for trial in failures]
-        found["worst"][spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
-    return found
+        detections["failures"][spec] = [pair(trial) for trial in failures]
+        detections["worst"][spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
+    return detections
 
 
 def gallery_trials(trials: pd.DataFrame) -> list[int]:
@@ -99,11 +99,11 @@ def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]
 
     The worst first, equals by their mean score.
     """
-    found = []
-    for _, mine in rows.groupby("pose"):
-        score = mine["score"].to_numpy()
-        found.append((share(mine, threshold), -float(score.mean()), int(mine["image"].to_numpy()[score.argmax()])))
-    return [(trial, success) for success, _, trial in sorted(found)[:WORST] if success < 1]
+    worst = []
+    for _, group in rows.groupby("pose"):
+        score = group["score"].to_numpy()
+        worst.append((share(group, threshold), -float(score.mean()), int(group["image"].to_numpy()[score.argmax()])))
+    return [(trial, success) for success, _, trial in sorted(worst)[:WORST] if success < 1]
 
 
 def describe(images: ImageSet | Results, trial: int) -> dict:
@@ -173,10 +173,10 @@ def _described(
     detections: Mapping[str, Detections], detectors: Mapping[str, Detector], threshold: float | None = None
 ) -> dict:
     boxes, scores = {}, {}
-    for spec, found in detections.items():
+    for spec, answer in detections.items():
         above = float(detectors[spec].operating_point) if threshold is None else threshold
-        scores[spec] = round(float(max_person_score(found)[0]), 4)
-        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, above)[0].tolist()]
+        scores[spec] = round(float(max_person_score(answer)[0]), 4)
+        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(answer, above)[0].tolist()]
     return {"boxes": boxes, "scores": scores}
 
 

@@ -95,10 +95,10 @@ def found_by_distance(groups: Mapping[str, Mapping], labels: Mapping[str, str]) 
     groups: by distance and by side ("with", "without"), a record with `detected`; labels: the sides' names.
     """
     rows = [
-        {"picture": label, "distance": float(key), **rated(told[side], "detected", "ci95_detected")}
+        {"picture": label, "distance": float(key), **rated(figures[side], "detected", "ci95_detected")}
         for side, label in labels.items()
-        for key, told in groups.items()
-        if told[side]["detected"] is not None
+        for key, figures in groups.items()
+        if figures[side]["detected"] is not None
     ]
     return Lines(x="distance", series="picture", rate="found").draw(rows)
 

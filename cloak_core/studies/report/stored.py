@@ -8,7 +8,7 @@ from pathlib import Path
 from cloak_core.core.evaluation.results import Results, read_results
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
-from cloak_core.files.shapes import FLAG, NOTHING, NUMBER, SHARE, TEXT, WHOLE, Kind, check_shape
+from cloak_core.files.records import FLAG, NOTHING, NUMBER, SHARE, TEXT, WHOLE, Kind, check_shape
 
 FOLDER, PEOPLE_FOLDER = "evaluation", "evaluation-people"
 """Names of the folders inside a run: of bodies, and of people in photographs."""

@@ -34,7 +34,7 @@ class Training:
     query_prior: Sequence[Detector] = ()
     """Detectors whose gradients lead a search by questions."""
     techniques: Sequence[str] = ()
-    """Of other packages, NAME or NAME:TEXT (`core.packages`)."""
+    """Of other packages, NAME or NAME:TEXT (`core.technique`)."""
     inputs: Mapping[str, str] = field(default_factory=dict)
     """Names under which the user gave all this, for the record."""
 

@@ -16,15 +16,14 @@ from cloak_core.core.events import OnEvent
 from cloak_core.core.geometry import face_centres, face_normals
 from cloak_core.core.logo import Logo
 from cloak_core.core.loop import TrainingError
-from cloak_core.core.packages import call_package
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.places import face_places
 from cloak_core.core.prints import PRINT_METRES, PRINTS
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.settings.components import OptimizerSettings
 from cloak_core.core.source import NOBODY, Cast, Source
-from cloak_core.core.technique import Technique, Techniques
-from cloak_core.core.train import Job, run_training
+from cloak_core.core.technique import Technique, Techniques, call_package
+from cloak_core.core.train import TrainingJob, run_training
 from cloak_core.core.training import RunResult
 from cloak_core.core.world import LostProcess, World, join_world, local_device
 from cloak_core.exchange.bodies import Bodies
@@ -91,7 +90,7 @@ def train(
         raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
 
 
-def make_job(training: Training, source: Source, world: World) -> Job:
+def make_job(training: Training, source: Source, world: World) -> TrainingJob:
     """Make the training that was asked for. InputError: something does not go together, or cannot be read."""
     settings, bodies, logo = training.settings, training.bodies, training.logo
     device = local_device(settings.compute.device)
@@ -107,7 +106,9 @@ def make_job(training: Training, source: Source, world: World) -> Job:
     config = run_config(training, world.size, files | _content(start))
     source.require_visible(pattern)
     backgrounds = training.backgrounds
-    return Job(settings, pattern, first, techniques, coloring, source, backgrounds, detectors, surrogates, config)
+    return TrainingJob(
+        settings, pattern, first, techniques, coloring, source, backgrounds, detectors, surrogates, config
+    )
 
 
 def _techniques(

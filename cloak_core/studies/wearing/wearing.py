@@ -30,7 +30,7 @@ from cloak_core.core.logo import Cover, select_region
 from cloak_core.core.pictures import save_picture
 from cloak_core.core.source import Cast
 from cloak_core.files.errors import InputError
-from cloak_core.files.tables import as_cell
+from cloak_core.files.records import as_cell
 from cloak_core.files.writing import new_folder, require_new, write_json, write_text
 from cloak_core.patterns.controls import OwnClothing, controls
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
@@ -232,11 +232,11 @@ class Album:
 
 def _captioned(tile: Image.Image, best: Sequence[float | None]) -> Image.Image:
     """Put below a picture whether she is found or hidden, on red where no detector finds her."""
-    found = [score for score in best if score is not None]
-    words = "hidden" if not found else f"found {max(found):.2f}"
-    if len(best) > 1 and found and len(found) < len(best):
-        words = f"found by {len(found)} of {len(best)}, {max(found):.2f}"
-    whole = Image.new("RGB", (TILE, TILE + CAPTION), FOUND if found else HIDDEN)
+    scores = [score for score in best if score is not None]
+    words = "hidden" if not scores else f"found {max(scores):.2f}"
+    if len(best) > 1 and scores and len(scores) < len(best):
+        words = f"found by {len(scores)} of {len(best)}, {max(scores):.2f}"
+    whole = Image.new("RGB", (TILE, TILE + CAPTION), FOUND if scores else HIDDEN)
     whole.paste(tile, (0, 0))
     ImageDraw.Draw(whole).text((6, TILE + 2), words, (255, 255, 255), font(14, bold=True))
     return whole
@@ -273,8 +273,8 @@ def choose_widths(
     asked = [color for color in colors if AUTO in color]
     if not asked:
         return list(colors), {}
-    for option, given in (("--width-people", people), ("--width-detector", detectors)):
-        if not given:
+    for option, value in (("--width-people", people), ("--width-detector", detectors)):
+        if not value:
             raise InputError(f"{asked[0]}: needs {option}, on whom the width is chosen, and who does not judge")
     _check_strangers(people, detectors, *judging)
     curves = {color: width_curve(color, people, detectors, backgrounds, settings, on_progress, logo) for color in asked}

@@ -93,8 +93,7 @@ def made_run(
 ) -> Path:
     """A run folder with colours for faces of an object, as a training leaves it; without a record."""
     from cloak.blender import mesh_arrays
-    from cloak.exchange.colors import write_colors
-    from cloak.exchange.face_lists import write_face_list
+    from cloak.exchange.face_lists import write_colors, write_face_list
 
     run = folder / name
     run.mkdir(parents=True)

@@ -6,7 +6,7 @@ import pytest
 from cloak.blender import colors, faces
 from cloak.blender.pictures import read_picture
 from cloak.body import objects as body
-from cloak.exchange.colors import write_colors
+from cloak.exchange.face_lists import write_colors
 from cloak.files.errors import InputError
 from cloak.result.evaluations import result_reason
 from cloak.training import runs

@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak.exchange.colors import write_colors
+from cloak.exchange.face_lists import write_colors
 from cloak.result import evaluations, outputs, ring
 from cloak.session import session
 from cloak.training import panel, run_list, runs

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors
-from cloak.exchange.colors import write_colors
+from cloak.exchange.face_lists import write_colors
 from cloak.result.evaluations import judged_reason, result_reason
 from cloak.session import session
 from cloak.trainer import jobs

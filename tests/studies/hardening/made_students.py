@@ -8,7 +8,7 @@ import torch
 from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.loop import StopRequest
 from cloak_core.detectors.loading import load_detector
-from cloak_core.studies.hardening.hardening import HardenResult, Material, harden
+from cloak_core.studies.hardening.hardening import HardenMaterial, HardenResult, harden
 from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
@@ -21,7 +21,7 @@ FEWER = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "
 def hardened(student: Student | str, out: Path, resume: bool = False, **changes: object) -> HardenResult:
     student = open_student(student) if isinstance(student, str) else student
     settings = HardenSettings(**(FEW | changes))
-    return harden(settings, student, Material(box_bodies(), noise_backgrounds()), out, resume=resume)
+    return harden(settings, student, HardenMaterial(box_bodies(), noise_backgrounds()), out, resume=resume)
 
 
 @torch.no_grad()

@@ -21,7 +21,7 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.hardening.decoys import TEXTURE, draw_decoy, random_texture
-from cloak_core.studies.hardening.hardening import Hardening, Material, harden
+from cloak_core.studies.hardening.hardening import Hardening, HardenMaterial, harden
 from cloak_core.studies.hardening.pictures import Pictures
 from cloak_core.studies.hardening.pool import Pool
 from cloak_core.studies.hardening.settings import HardenSettings
@@ -82,8 +82,8 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
     worn = (pair.cloaked - pair.clean).abs().amax(1) > 0.05
     assert 0.001 < worn.float().mean() < 0.5, "only the person changes"
     with pytest.raises(InputError, match="topology"):
-        harden(settings, student, Material(box_bodies(), noise_backgrounds(), people=people), tmp_path / "box")
-    few, material = replace(settings, steps=2), Material(bodies, noise_backgrounds(), people=people)
+        harden(settings, student, HardenMaterial(box_bodies(), noise_backgrounds(), people=people), tmp_path / "box")
+    few, material = replace(settings, steps=2), HardenMaterial(bodies, noise_backgrounds(), people=people)
     assert harden(few, student, material, tmp_path / "out").step == 2
     with pytest.raises(InputError, match="begun with other people"):
         harden(few, student, replace(material, people=NOBODY), tmp_path / "out", resume=True)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cloak_core.files.errors import InputError
+from cloak_core.files.specs import select
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from cloak_core.sources.bodies.selection import select
 
 NAMES = ("standing 1", "standing 2", "walking 1", "waving 1", "running 1")
 
