@@ -85,7 +85,7 @@ def next_words(command: Command, result: dict) -> None:
         out.print(f"Next: {shlex.join(['cloak', *words])}" + (f"  ({command.next_why})" if command.next_why else ""))
 
 
-def share(value: float | None) -> str:
+def format_rate(value: float | None) -> str:
     """Write a share in a table: two digits, a dash for none."""
     return "–" if value is None else f"{value:.2f}"
 

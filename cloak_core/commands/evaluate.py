@@ -9,7 +9,7 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import Command, out, share, table
+from cloak_core.commands.base import Command, format_rate, out, table
 from cloak_core.commands.options import OnUnseen, Photographed, Watched
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_people
@@ -101,8 +101,8 @@ def success_table(spec: str, measured: dict, threshold: float, own: float) -> Ta
     rows = []
     for name, figures in rates.items():
         low, high = figures["ci95"]
-        rest = (share(figures.get(key)) for key in ("success_own", "renamed", "gone", "success_iou", "ap50"))
-        rows.append((name, share(figures["success"]), f"{low:.2f}–{high:.2f}", *rest))
+        rest = (format_rate(figures.get(key)) for key in ("success_own", "renamed", "gone", "success_iou", "ap50"))
+        rows.append((name, format_rate(figures["success"]), f"{low:.2f}–{high:.2f}", *rest))
     return table(f"{spec}: share of {images} images in which no person is reported", heads, rows)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.commands.base import out, share, table
+from cloak_core.commands.base import format_rate, out, table
 from cloak_core.commands.options import Computing, OnUnseen, Watched
 from cloak_core.commands.progress import counted
 from cloak_core.core.evaluation.settings import EvaluateSettings, FilmSettings
@@ -72,7 +72,7 @@ def _rows(figures: dict, thresholds: dict[str, float]) -> Iterator[tuple[str, ..
     """Yield what is worn, a threshold, and the figures at it."""
     for control, x in figures.items():
         for suffix, threshold in thresholds.items():
-            shares = (share(x[f"{outcome}{suffix}"]) for outcome in ("hidden", "renamed", "gone"))
+            shares = (format_rate(x[f"{outcome}{suffix}"]) for outcome in ("hidden", "renamed", "gone"))
             sight = x[f"first_sight_m{suffix}"]
             metres = "–" if sight is None else f"{sight:.1f} m"
             tracks = str(x["tracks"]) if suffix else ""  # they are made at the detector's own threshold

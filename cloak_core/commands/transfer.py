@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 from tyro.conf import UseAppendAction
 
-from cloak_core.commands.base import command_line, err, out, share, table
+from cloak_core.commands.base import command_line, err, format_rate, out, table
 from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.progress import announce, shown_progress
 from cloak_core.commands.sharing import Sharing
@@ -194,6 +194,8 @@ def _table(ablation: str, summary: dict) -> Table:
     rows = []
     for spec, cell in summary["matrix"].items():
         low, high = cell["ci95"]
-        rest = (share(cell[key]) for key in ("renamed", "gone", "success_own", "random", "clothing"))
-        rows.append((short_name(spec) + MARKS[cell["kin"]], share(cell["success"]), f"{low:.2f}–{high:.2f}", *rest))
+        rest = (format_rate(cell[key]) for key in ("renamed", "gone", "success_own", "random", "clothing"))
+        rows.append(
+            (short_name(spec) + MARKS[cell["kin"]], format_rate(cell["success"]), f"{low:.2f}–{high:.2f}", *rest)
+        )
     return table(title, heads, rows, caption=caption)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import Command, left_out, out, share, table, warn
+from cloak_core.commands.base import Command, format_rate, left_out, out, table, warn
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.sharing import executor_of
@@ -90,8 +90,8 @@ def show_worn(result: dict, threshold: float | int) -> None:
         rows = []
         for name, s in figures.items():
             low, high = s["ci95"]
-            rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
-            rows.append((name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s)))
+            rest = (format_rate(s[key]) for key in ("success_own", "renamed", "gone"))
+            rows.append((name, format_rate(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s)))
         out.print(table(f"{spec}: share of people who are not found", heads, rows))
     for color, curve in result.get("widths", {}).items():
         on = f"{curve['people']} people and {', '.join(curve['detectors'])}, who do not judge"
@@ -201,9 +201,9 @@ class Judge(Detecting):
 def _rows(figures: dict) -> Iterator[tuple[str, ...]]:
     """Yield what is worn, who is hidden in it, and who is found."""
     for name, s in {"with": figures["with"], **figures["controls"], "without": figures["without"]}.items():
-        shares = share(s["conditional"]), _interval(s["ci95_conditional"]), share(s["conditional_own"])
+        shares = format_rate(s["conditional"]), _interval(s["ci95_conditional"]), format_rate(s["conditional_own"])
         hidden = ("", "", "", "") if name == "without" else (*shares, str(s["n_conditional"]))
-        yield (name, *hidden, share(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"]))
+        yield (name, *hidden, format_rate(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"]))
 
 
 def _interval(bounds: tuple) -> str:

@@ -97,7 +97,7 @@ class Batcher:
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """Build the images of `step`, or one process's part of them."""
-        draws = self.sampler.draw(step).share(rank, ranks)
+        draws = self.sampler.draw(step).rank_slice(rank, ranks)
         settings, size = self.augmentation, self.size
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from cloak_core.core.detector import IOU
-from cloak_core.core.detector.outcomes import HERS, OnBody, on_body, only_hers
+from cloak_core.core.detector.outcomes import OWN_IOU, OnBody, for_person, on_body
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.paint import Canvas, blank, body_masks, lay_backdrop, pixels_of, true_boxes
 from cloak_core.core.pattern import Pattern
@@ -142,8 +142,8 @@ class ImageSet:
         is_company = not bool(alone.all())
         masks = body_masks(views, self.shifts(indices)) if is_company or detections.other is not None else None
         if is_company:
-            detections = only_hers(detections, boxes, other_boxes(views).to(detections.boxes), alone, masks)
-        iou = torch.where(alone, IOU, HERS)[:, None]
+            detections = for_person(detections, boxes, other_boxes(views).to(detections.boxes), alone, masks)
+        iou = torch.where(alone, IOU, OWN_IOU)[:, None]
         within = torch.where(alone, math.inf, 0.0)[:, None]
         return detections, on_body(detections, boxes, iou, within, masks)
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from cloak_core.core.batches import Batch, Company
 from cloak_core.core.detector import THRESHOLD
-from cloak_core.core.detector.outcomes import as_anything, only_hers
+from cloak_core.core.detector.outcomes import as_anything, for_person
 from cloak_core.core.detector.protocol import Detections, Detector, join_detections
 from cloak_core.core.detector.scoring import is_detected
 from cloak_core.core.ensemble import Ensemble
@@ -115,7 +115,7 @@ class Objective:
         with self.techniques.detector_context(number, step):
             detections = self.detectors[number](images)
         if company is not None:
-            detections = only_hers(detections, bodies, company.others, company.anywhere)
+            detections = for_person(detections, bodies, company.others, company.anywhere)
         if self.settings.hide == "person":
             return detections
         if bodies is None:

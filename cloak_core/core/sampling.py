@@ -39,7 +39,7 @@ class Draws:
     def __len__(self) -> int:
         return len(self.seed)
 
-    def share(self, rank: int, count: int) -> Draws:
+    def rank_slice(self, rank: int, count: int) -> Draws:
         """Take every `count`-th image from `rank` on: one process's part of the batch."""
         part = slice(rank, None, count)
         own = {name: getattr(self, name)[part] for name in ("background", "shift", "contrast", "brightness", "seed")}

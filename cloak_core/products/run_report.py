@@ -8,7 +8,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from cloak_core.core.evaluation.results import NOBODY
-from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.core.evaluation.statistics import undetected
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.studies.report import plots, words
@@ -145,7 +145,7 @@ def _detector(stored: StoredEvaluation, spec: str) -> dict:
         "bare": len(results.rows(spec, NOBODY)),
         "failures": [_pair(stored.folder / "pictures", [spec], pair) for pair in failures],
         "at": at,
-        "failed": int((~hidden(logo, at)).sum()),
+        "failed": int((~undetected(logo, at)).sum()),
         "hash": summary["inputs"]["detector_hashes"][spec],
     }
 

@@ -22,7 +22,7 @@ from cloak_core.core.evaluation import CLOTHING
 from cloak_core.core.evaluation.measure import batches, measure
 from cloak_core.core.evaluation.results import NOBODY
 from cloak_core.core.evaluation.settings import WearSettings
-from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.core.evaluation.statistics import undetected
 from cloak_core.core.evaluation.trials import make_trials
 from cloak_core.core.images import ImageSet, Indices
 from cloak_core.core.logo import Cover
@@ -108,7 +108,7 @@ def _check(
 
 
 def _found(rows: pd.DataFrame, threshold: float, column: str = "score") -> float:
-    return float((~hidden(rows, threshold, column)).mean())
+    return float((~undetected(rows, threshold, column)).mean())
 
 
 @torch.no_grad()

@@ -24,12 +24,12 @@ from cloak_core.core.evaluation.results import CORNERS, TRUE_BOX, Results
 from cloak_core.core.evaluation.settings import FilmSettings
 from cloak_core.core.evaluation.statistics import (
     finite,
-    hidden,
     operating_point,
     outcome_record,
     rate,
     rate_record,
-    share,
+    success_rate,
+    undetected,
 )
 
 CLUSTERS = ("take", "background")
@@ -77,18 +77,18 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
     shown = frames[in_picture(frames)]
     seen_clean = shown[(shown["clean"] > threshold).to_numpy()]
     several = shown["take"].nunique() > 1
-    hits = rate_record("success", rate(shown, hidden(shown, threshold), CLUSTERS)) if several else {"ci95": None}
+    hits = rate_record("success", rate(shown, undetected(shown, threshold), CLUSTERS)) if several else {"ci95": None}
     record = {
-        "hidden": finite(share(shown, threshold)),
-        "hidden_own": finite(share(shown, own)),
-        "hidden_iou": finite(share(shown, threshold, "score_on")),
-        "conditional": finite(share(seen_clean, threshold)),
+        "hidden": finite(success_rate(shown, threshold)),
+        "hidden_own": finite(success_rate(shown, own)),
+        "hidden_iou": finite(success_rate(shown, threshold, "score_on")),
+        "conditional": finite(success_rate(seen_clean, threshold)),
         **outcome_record(shown, threshold),
         "ci95": hits["ci95"],
         "n": len(shown),
     }
     for suffix, at in (("", threshold), ("_own", own)):
-        seen = [~hidden(take, at) & in_picture(take) for take in takes]
+        seen = [~undetected(take, at) & in_picture(take) for take in takes]
         run = float(np.median(list(map(longest_run, seen))))
         record[f"longest_run{suffix}"] = int(run) if run.is_integer() else run
         at_first = [take["distance"].to_numpy()[is_detected] for take, is_detected in zip(takes, seen, strict=True)]
@@ -147,7 +147,7 @@ def frame_rows(results: Results, threshold: float) -> list[dict]:
 
 def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> list[dict]:
     boxes = frame_boxes(results, rows, min(threshold, operating_point(rows)))
-    columns = zip(rows["score"], hidden(rows, threshold), rows["other"], rows["other_name"], boxes, strict=True)
+    columns = zip(rows["score"], undetected(rows, threshold), rows["other"], rows["other_name"], boxes, strict=True)
     return [
         {
             "score": round(float(score), 4),

@@ -16,12 +16,12 @@ from jaxtyping import Float, Int, Shaped
 from cloak_core.core.evaluation.intervals import RESAMPLES
 from cloak_core.core.evaluation.statistics import (
     finite,
-    hidden,
     operating_point,
     outcome_record,
     rate,
     rate_record,
-    share,
+    success_rate,
+    undetected,
 )
 from cloak_core.studies.judging.listing import NOBODY, WITH, WITHOUT
 
@@ -90,7 +90,7 @@ def _detector_summary(rows: pd.DataFrame, threshold: float, resamples: int) -> d
             key: {side: record(parts[key][parts[key]["garment"] == side]) for side in (WITH, WITHOUT)}
             for key in sorted(parts.keys() - {""}, key=_numbers_first)
         }
-    alarms = {"false_alarms": finite(1 - share(empty, threshold)), "n_nobody": len(empty)}
+    alarms = {"false_alarms": finite(1 - success_rate(empty, threshold)), "n_nobody": len(empty)}
     return sides | {"controls": records} | by | alarms
 
 
@@ -107,9 +107,9 @@ def photograph_record(rows: pd.DataFrame, thresholds: tuple[float, float], resam
     estimate = lambda mine, hits: rate(mine, hits, CLUSTERS, resamples)
     for suffix, threshold in zip(("", "_own"), thresholds, strict=True):
         clean = (compared["clean"] > threshold).to_numpy()
-        success = estimate(compared, hidden(compared, threshold) & clean)
-        conditional = estimate(compared[clean], hidden(compared[clean], threshold))
-        detected = estimate(rows, ~hidden(rows, threshold))
+        success = estimate(compared, undetected(compared, threshold) & clean)
+        conditional = estimate(compared[clean], undetected(compared[clean], threshold))
+        detected = estimate(rows, ~undetected(rows, threshold))
         for name, value in (("success", success), ("conditional", conditional), ("detected", detected)):
             figures |= rate_record(name + suffix, value)
         figures |= {f"n_conditional{suffix}": conditional.n, "n": success.n}

@@ -29,7 +29,7 @@ from cloak_core.core.evaluation.statistics import (
     operating_point,
     outcome_record,
     rate_record,
-    share,
+    success_rate,
 )
 from cloak_core.core.logo import area_share
 from cloak_core.core.source import NOBODY, Cast
@@ -277,7 +277,7 @@ def transfer_record(results: Results, judged: str) -> dict:
     point = operating_point(rows)
     for suffix, threshold in (("", THRESHOLD), ("_own", point), ("_025", LOW)):
         record |= rate_record(f"success{suffix}", hidden_rate(rows, threshold), 4)
-        record |= {f"{name}{suffix}": digits(share(results.rows(judged, name), threshold)) for name in STANDARD}
+        record |= {f"{name}{suffix}": digits(success_rate(results.rows(judged, name), threshold)) for name in STANDARD}
     record |= outcome_record(rows) | {"operating_point": point, "n": len(rows), "images": len(results.trials)}
     return record | {"by_seed": [digits(value) for value in by_training(rows)]}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.detector.outcomes import only_hers
+from cloak_core.core.detector.outcomes import for_person
 from cloak_core.core.detector.protocol import Detections
 from cloak_core.core.logo import load_logo
 from cloak_core.core.sampling import Sampler
@@ -148,9 +148,9 @@ def test_somebody_behind_her_lies_in_her_box_and_not_on_her_mask():
     mask = torch.zeros(1, 500, 500, dtype=torch.bool)
     mask[:, 100:400, 100:150] = True
     behind, drawn = boxes([155, 110, 195, 250, 0.9]), boxes([105, 200, 145, 260, 0.8])
-    assert only_hers(behind, BODY, NOBODY).scores.tolist() == [[pytest.approx(0.9)]]
-    assert only_hers(behind, BODY, NOBODY, masks=mask).scores.tolist() == [[0.0]]
-    assert only_hers(drawn, BODY, NOBODY, masks=mask).scores.tolist() == [[pytest.approx(0.8)]]
+    assert for_person(behind, BODY, NOBODY).scores.tolist() == [[pytest.approx(0.9)]]
+    assert for_person(behind, BODY, NOBODY, masks=mask).scores.tolist() == [[0.0]]
+    assert for_person(drawn, BODY, NOBODY, masks=mask).scores.tolist() == [[pytest.approx(0.8)]]
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_somebody_behind_her_lies_in_her_box_and_not_on_her_mask():
     ids=["small on the cloth", "elsewhere", "elsewhere in a render"],
 )
 def test_boxes_on_her_count_and_on_renders_every_box(box, alone, score):
-    found = only_hers(boxes([*box, 0.9]), BODY, NOBODY, torch.tensor([alone]))
+    found = for_person(boxes([*box, 0.9]), BODY, NOBODY, torch.tensor([alone]))
     assert found.scores.tolist() == [[pytest.approx(score)]]
 
 
@@ -169,5 +169,5 @@ def test_a_neighbours_box_does_not_count():
         boxes([142, 110, 240, 390, 0.9], [100, 100, 200, 400, 0.8]),
         torch.tensor([[[140.0, 110, 240, 390]]]),
     )
-    assert only_hers(neighbour, BODY, NOBODY).scores.tolist() == [pytest.approx([0.9, 0.8])]
-    assert only_hers(neighbour, BODY, others).scores.tolist() == [pytest.approx([0.0, 0.8])]
+    assert for_person(neighbour, BODY, NOBODY).scores.tolist() == [pytest.approx([0.9, 0.8])]
+    assert for_person(neighbour, BODY, others).scores.tolist() == [pytest.approx([0.0, 0.8])]

@@ -79,7 +79,7 @@ def test_ranges_are_kept_and_used():
 
 def test_shares_make_up_the_batch():
     draws = sampler(steps=5).draw(2)
-    shares = [draws.share(rank, 3) for rank in range(3)]
+    shares = [draws.rank_slice(rank, 3) for rank in range(3)]
     assert sorted(np.concatenate([s.seed for s in shares])) == sorted(draws.seed)
     assert [len(s) for s in shares] == [3, 3, 2]
 

@@ -178,14 +178,14 @@ def _best(values: Float[Tensor, "B N"]) -> tuple[Float[Tensor, " B"], Int[Tensor
     return tuple(values.max(dim=1))
 
 
-HERS = 0.4
+OWN_IOU = 0.4
 """A person box that overlaps hers by this IoU is hers; so is one of which half the area lies on her mask, or in her box
 where there is no mask."""
 THEIRS = 0.5
 """A box that overlaps another known person's by so much, and more than hers, is that person's."""
 
 
-def only_hers(
+def for_person(
     detections: Detections,
     bodies: Float[Tensor, "B 4"],
     others: Float[Tensor, "B K 4"],
@@ -203,7 +203,7 @@ def only_hers(
     if others.shape[1]:
         best = box_iou(boxes[:, :, None], others[:, None].to(boxes)).max(dim=2).values
         theirs = (best >= THEIRS) & (best > box_iou(boxes, bodies[:, None].to(boxes)))
-    hers = found_as_person(boxes, bodies, HERS, masks=masks) & ~theirs
+    hers = found_as_person(boxes, bodies, OWN_IOU, masks=masks) & ~theirs
     if anywhere is not None:
         hers, theirs = hers | anywhere[:, None], theirs & ~anywhere[:, None]
     other = None if detections.other is None else torch.where(theirs, 0.0, detections.other)

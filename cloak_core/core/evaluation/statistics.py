@@ -33,7 +33,7 @@ NAMED = 3
 # --- of some rows
 
 
-def hidden(rows: pd.DataFrame, threshold: float = THRESHOLD, column: str = "score") -> Bool[np.ndarray, " N"]:
+def undetected(rows: pd.DataFrame, threshold: float = THRESHOLD, column: str = "score") -> Bool[np.ndarray, " N"]:
     """Mark the images in which no person is reported: the best score is at most `threshold`.
 
     column: "score" for anywhere in the image, "score_on" for on the body.
@@ -58,28 +58,28 @@ def rate(
 
 def hidden_rate(rows: pd.DataFrame, threshold: float = THRESHOLD, column: str = "score") -> Rate:
     """Estimate attack success: the share of images in which no person is reported."""
-    return rate(rows, hidden(rows, threshold, column))
+    return rate(rows, undetected(rows, threshold, column))
 
 
 def found_rate(rows: pd.DataFrame, threshold: float = THRESHOLD, column: str = "score") -> Rate:
     """Estimate recall, or on bare backgrounds false alarms: the share of images with a reported person."""
-    return rate(rows, ~hidden(rows, threshold, column))
+    return rate(rows, ~undetected(rows, threshold, column))
 
 
-def share(rows: pd.DataFrame, threshold: float = THRESHOLD, column: str = "score") -> float:
+def success_rate(rows: pd.DataFrame, threshold: float = THRESHOLD, column: str = "score") -> float:
     """Compute attack success without an interval; nan without rows."""
-    return float(hidden(rows, threshold, column).mean()) if len(rows) else math.nan
+    return float(undetected(rows, threshold, column).mean()) if len(rows) else math.nan
 
 
 def conditional_rate(rows: pd.DataFrame, threshold: float = THRESHOLD, resamples: int = RESAMPLES) -> Rate:
     """Estimate attack success among images whose body is found in its own clothing."""
     seen = rows[(rows["clean"] > threshold).to_numpy()]
-    return rate(seen, hidden(seen, threshold), resamples=resamples)
+    return rate(seen, undetected(seen, threshold), resamples=resamples)
 
 
 def by_training(rows: pd.DataFrame) -> list[float]:
     """Compute attack success of each repetition of the training."""
-    return [share(part) for _, part in rows.groupby("training")]
+    return [success_rate(part) for _, part in rows.groupby("training")]
 
 
 # --- records: plain values, ready for JSON
@@ -125,13 +125,13 @@ def success_record(
     """
     point = operating_point(rows)
     known = rows if point is not None else rows[:0]
-    success = rate(rows, hidden(rows, threshold), resamples=resamples)
+    success = rate(rows, undetected(rows, threshold), resamples=resamples)
     conditional = conditional_rate(rows, threshold, resamples)
     return {
         **rate_record("success", success),
-        **rate_record("success_own", rate(known, hidden(known, point or 0.0), resamples=resamples)),
+        **rate_record("success_own", rate(known, undetected(known, point or 0.0), resamples=resamples)),
         **published_rates(rows, resamples=resamples),
-        **rate_record("success_iou", rate(rows, hidden(rows, threshold, "score_on"), resamples=resamples)),
+        **rate_record("success_iou", rate(rows, undetected(rows, threshold, "score_on"), resamples=resamples)),
         **rate_record("conditional", conditional),
         "n": success.n,
         "n_conditional": conditional.n,
@@ -144,8 +144,8 @@ def success_record(
 
 def published_rates(rows: pd.DataFrame, places: int = 6, resamples: int = RESAMPLES) -> dict:
     """Compute what others publish: success at 0.5, and mASR, the mean of success over `THRESHOLDS`."""
-    over_thresholds = np.mean([hidden(rows, t) for t in THRESHOLDS], axis=0)
-    at_half = rate(rows, hidden(rows, HALF), resamples=resamples)
+    over_thresholds = np.mean([undetected(rows, t) for t in THRESHOLDS], axis=0)
+    at_half = rate(rows, undetected(rows, HALF), resamples=resamples)
     mean = rate(rows, over_thresholds, resamples=resamples)
     return rate_record("success_05", at_half, places) | rate_record("masr", mean, places)
 
@@ -170,7 +170,7 @@ def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
     record: dict = {}
     for suffix, at in (("", threshold), ("_own", operating_point(rows))):
         known = has_others and at is not None
-        gone = hidden(rows, at) if known else np.zeros(0, bool)
+        gone = undetected(rows, at) if known else np.zeros(0, bool)
         other = rows["other"].to_numpy() > at if known else gone
         record[f"renamed{suffix}"] = finite(float((gone & other).mean())) if known else None
         record[f"gone{suffix}"] = finite(float((gone & ~other).mean())) if known else None
@@ -191,8 +191,8 @@ def side_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
     for side in ("front", "side", "back"):
         seen = rows[(rows["seen_from"] == side).to_numpy()]
         if len(seen):
-            own = None if point is None else finite(share(seen, point))
-            sides[side] = {"n": len(seen), "success": finite(share(seen, threshold)), "success_own": own}
+            own = None if point is None else finite(success_rate(seen, point))
+            sides[side] = {"n": len(seen), "success": finite(success_rate(seen, threshold)), "success_own": own}
     return {"seen_from": sides}
 
 
@@ -204,7 +204,7 @@ def operating_point(rows: pd.DataFrame) -> float | None:
 
 def false_alarms(results: Results, spec: str, threshold: float = THRESHOLD) -> float:
     """Compute the share of bare backgrounds on which the detector reports a person."""
-    return 1 - share(rows, threshold) if len(rows := results.rows(spec, NOBODY)) else math.nan
+    return 1 - success_rate(rows, threshold) if len(rows := results.rows(spec, NOBODY)) else math.nan
 
 
 def matched_threshold(scores: Shaped[np.ndarray, " N"], reference: Shaped[np.ndarray, " M"]) -> float:
@@ -219,7 +219,7 @@ def matched_threshold(scores: Shaped[np.ndarray, " N"], reference: Shaped[np.nda
 
 def threshold_curve(rows: pd.DataFrame) -> list[float]:
     """Compute attack success at every one of `THRESHOLDS`."""
-    return [share(rows, t) for t in THRESHOLDS]
+    return [success_rate(rows, t) for t in THRESHOLDS]
 
 
 def rate_row(value: Rate, name: str = "success", low: str = "low", high: str = "high") -> dict:
@@ -231,7 +231,7 @@ def training_row(results: Results, spec: str) -> dict:
     """Everything a table says about the repetitions of a training under one detector: plain numbers, four digits."""
     rows, clean = results.rows(spec, LOGO), results.rows(spec, CLOTHING)
     spread = [round(value, 6) for value in by_training(rows)]
-    others = {control: share(results.rows(spec, control)) for control in results.controls[1:]}
+    others = {control: success_rate(results.rows(spec, control)) for control in results.controls[1:]}
     more = {
         "success_iou": hidden_rate(rows, column="score_on").value,
         "conditional": conditional_rate(rows).value,
@@ -256,7 +256,7 @@ def operating_row(results: Results, spec: str) -> dict:
     row = training_row(results, spec)
     rows = results.rows(spec, LOGO)
     point = operating_point(rows)
-    missed = {control: share(results.rows(spec, control), point) for control in results.controls[1:]}
+    missed = {control: success_rate(results.rows(spec, control), point) for control in results.controls[1:]}
     more = {f"{control}_own": value for control, value in missed.items()}
     more |= {"operating_point": point, "clean_recall_own": 1 - missed[CLOTHING]}
     more |= {"false_alarms_own": false_alarms(results, spec, point)}
@@ -271,7 +271,7 @@ def rows_at(results: Results, spec: str, column: str, values: Sequence[float], *
     table = []
     for value in values:
         place = where | {column: value}
-        shares = {c: digits(share(results.rows(spec, c, **place))) for c in results.controls[1:]}
+        shares = {c: digits(success_rate(results.rows(spec, c, **place))) for c in results.controls[1:]}
         rates = rate_row(hidden_rate(results.rows(spec, LOGO, **place)))
         table.append({"detector": spec, column: value} | rates | shares)
     return table

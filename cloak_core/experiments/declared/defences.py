@@ -266,7 +266,7 @@ class Alarms:
             "success_on_body": statistics.hidden_rate(rows, column="score_on").value,
             "equal_threshold": equal,
             "success_at_equal": statistics.hidden_rate(rows, equal, "score_on").value,
-            "clean_recall_at_equal": 1 - statistics.share(results.rows(spec, CLOTHING), equal),
+            "clean_recall_at_equal": 1 - statistics.success_rate(results.rows(spec, CLOTHING), equal),
             "pattern_alarms": float((own > THRESHOLD).mean()),
         }
         return {name: statistics.digits(value) for name, value in row.items()}

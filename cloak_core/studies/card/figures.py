@@ -31,8 +31,8 @@ from cloak_core.core.evaluation.statistics import (
     outcome_record,
     published_rates,
     rate_record,
-    share,
     side_record,
+    success_rate,
     success_record,
     threshold_curve,
 )
@@ -185,7 +185,10 @@ def attack_record(results: Results, spec: str) -> dict:
     record["by_threshold"] = {f"{t:g}": digits(x) for t, x in zip(THRESHOLDS, threshold_curve(rows), strict=True)}
     for control in results.controls[1:]:
         other = results.rows(spec, control)
-        record |= {control: digits(share(other)), f"{control}_own": digits(share(other, operating_point(other)))}
+        record |= {
+            control: digits(success_rate(other)),
+            f"{control}_own": digits(success_rate(other, operating_point(other))),
+        }
     record |= precision_record(results, rows) | outcome_record(rows)
     return record | {"n": len(rows), "seeds": results.trainings}
 
@@ -199,7 +202,7 @@ def clean_figures(results: Results, spec: str) -> dict:
     clean = recall_rates(rows) | rate_record("recall_on_body", found_rate(rows, column="score_on"), 4)
     clean |= precision_record(results, rows)
     for name, threshold in (("false_alarms", THRESHOLD), ("false_alarms_own", operating_point(rows))):
-        alarms = 1 - share(bare, threshold)
+        alarms = 1 - success_rate(bare, threshold)
         clean |= rate_record(name, Rate(alarms, *wilson(alarms, len(bare)), len(bare)), 4)
     recall_by = {}
     # A pose's kind is its body's name without the number at its end: "walking-10" is walking.

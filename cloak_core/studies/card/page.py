@@ -16,7 +16,7 @@ import pandas as pd
 
 from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import NOBODY, Results
-from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.core.evaluation.statistics import undetected
 from cloak_core.core.pattern import Pattern
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
@@ -232,10 +232,10 @@ def keep_pictures(folder: Path, store: RunStore, seen: Sequence[tuple[Part, Patt
         place.mkdir()
         if part.name == "clean":
             rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
-            for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
+            for trial in first_by(rows[undetected(rows, own)], SHOWN, ascending=True)["image"].tolist():
                 shots = draw_trial(place, images, {CLOTHING: patterns[CLOTHING]}, trial, detectors)
                 pictures["missed"].append(describe(images, trial) | shots)
-            for index in first_by(bare[~hidden(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
+            for index in first_by(bare[~undetected(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
                 shot = write_shot(place / f"bare-{index:05d}.jpg", images.bare([index]), detectors)
                 pictures["alarms"].append({"background": images.background_names[index], "bare": shot})
             continue
@@ -250,7 +250,7 @@ def keep_pictures(folder: Path, store: RunStore, seen: Sequence[tuple[Part, Patt
 
 def _hidden_trials(rows: pd.DataFrame, own: float) -> list[int]:
     """Choose the hidden images whose person is found most surely in own clothing, of different bodies if possible."""
-    gone = rows[hidden(rows, own) & (rows["clean"] > own).to_numpy()]
+    gone = rows[undetected(rows, own) & (rows["clean"] > own).to_numpy()]
     gone = gone.sort_values("clean", ascending=False, kind="stable")
     repeated = gone["pose"].duplicated()
     return [*gone["image"][~repeated], *gone["image"][repeated]][:SHOWN]

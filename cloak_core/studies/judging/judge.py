@@ -20,7 +20,7 @@ from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.detector.scoring import max_person_score, person_boxes
 from cloak_core.core.evaluation.measure import OnProgress, image_scores, kept_frozen
 from cloak_core.core.evaluation.settings import JudgeSettings
-from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.core.evaluation.statistics import undetected
 from cloak_core.core.pictures import open_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.records import as_cell
@@ -255,7 +255,7 @@ def _detector(summary: dict, spec: str, rows: pd.DataFrame, shot: object) -> dic
     figures = summary["detectors"][spec]
     table = [(LABELS[WITH], figures[WITH], "--c0"), (LABELS[WITHOUT], figures[WITHOUT], "--c1")]
     table += [(name, rates, f"--c{2 + k % 4}") for k, (name, rates) in enumerate(figures["controls"].items())]
-    gone = hidden(rows, summary["threshold"])
+    gone = undetected(rows, summary["threshold"])
 
     def worst(garment: str, missed: bool) -> list[dict]:
         candidates = rows[(rows["garment"] == garment).to_numpy() & (gone == missed)]

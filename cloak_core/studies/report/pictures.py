@@ -20,7 +20,7 @@ from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.detector.scoring import max_person_score, person_boxes
 from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import Results
-from cloak_core.core.evaluation.statistics import hidden, share
+from cloak_core.core.evaluation.statistics import success_rate, undetected
 from cloak_core.core.evaluation.trials import complete
 from cloak_core.core.images import ImageSet
 from cloak_core.core.pattern import Pattern
@@ -65,7 +65,7 @@ def write_pictures(
     }
     for spec, threshold in detections["thresholds"].items():
         rows = results.rows(spec, LOGO)
-        failures = first_by(rows[~hidden(rows, threshold)], FAILURES)["image"].tolist()
+        failures = first_by(rows[~undetected(rows, threshold)], FAILURES)["image"].tolist()
         detections["failures"][spec] = [pair(trial) for trial in failures]
         detections["worst"][spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
     return detections
@@ -102,7 +102,9 @@ def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]
     worst = []
     for _, group in rows.groupby("pose"):
         score = group["score"].to_numpy()
-        worst.append((share(group, threshold), -float(score.mean()), int(group["image"].to_numpy()[score.argmax()])))
+        worst.append(
+            (success_rate(group, threshold), -float(score.mean()), int(group["image"].to_numpy()[score.argmax()]))
+        )
     return [(trial, success) for success, _, trial in sorted(worst)[:WORST] if success < 1]
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import Results
-from cloak_core.core.evaluation.statistics import hidden_rate, rate_row, share
+from cloak_core.core.evaluation.statistics import hidden_rate, rate_row, success_rate
 from cloak_core.studies.report.charts import Bars, Lines, Rows, rated
 from cloak_core.studies.report.style import CYCLE, SERIES, WIDTH, new_figure, percent_axis
 from cloak_core.studies.report.words import short_name
@@ -72,7 +72,7 @@ def _rows(results: Results, detector: str, column: str, threshold: float, interv
     return [
         {"control": control, column: value}
         | (rate_row(hidden_rate(rows, threshold)) if control in intervals else {})
-        | {"success": share(rows, threshold), "n": len(rows)}
+        | {"success": success_rate(rows, threshold), "n": len(rows)}
         for control in results.controls
         for value, rows in results.rows(detector, control).groupby(column)
     ]

@@ -22,8 +22,8 @@ from cloak_core.core.evaluation.statistics import (
     false_alarms,
     finite,
     operating_point,
-    share,
     side_record,
+    success_rate,
     success_record,
 )
 from cloak_core.core.logo import Cover, select_region
@@ -301,12 +301,12 @@ def width_curve(
     images = people.images(backgrounds, settings, next(iter(detectors.values())).device)
     results = measure(images, patterns, detectors, batch=settings.batch, on_progress=on_progress)
 
-    def hidden(spec: str, metres: str) -> dict[str, float | None]:
+    def rates_of(spec: str, metres: str) -> dict[str, float | None]:
         rows = results.rows(spec, metres)
         thresholds = {"success": settings.threshold, "success_own": operating_point(rows)}
-        return {name: None if at is None else finite(share(rows, at)) for name, at in thresholds.items()}
+        return {name: None if at is None else finite(success_rate(rows, at)) for name, at in thresholds.items()}
 
-    rates = {spec: {metres: hidden(spec, metres) for metres in patterns} for spec in detectors}
+    rates = {spec: {metres: rates_of(spec, metres) for metres in patterns} for spec in detectors}
     measured = [[one[metres][name] for one in rates.values() for name in one[metres]] for metres in patterns]
     means = [np.mean([rate for rate in of_width if rate is not None]) for of_width in measured]
     chosen = WIDTHS[int(np.argmax(means))]
