@@ -232,7 +232,7 @@ def grow_people(count: int, people: str, images: Path | None) -> dict[str, float
 
 
 def grow_step(detectors: int = 1, squares: int | None = None) -> dict[str, float]:
-    """Train against copies of the embedded detector, or with a cloth of about so many squares: seconds of a step."""
+    """Time a step of training: against this many copies of the embedded detector, or with about this many squares."""
     changes: dict[str, object] = {"batch": 2, "size": 224, "steps": 1000}
     if squares is not None:
         changes |= {"pattern": "tile", "tile_cm": 50.0, "feature_cm": 50.0 / round(math.sqrt(squares))}

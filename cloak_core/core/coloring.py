@@ -110,7 +110,7 @@ class Coloring:
 
     @torch.no_grad()
     def project(self, colors: Float[Tensor, "C 3"]) -> Float[Tensor, "C 3"]:
-        """Project colours onto those that techniques allow."""
+        """Let each technique move colours to ones that it allows."""
         for technique in self._projections:
             colors = technique.project(colors)
         return colors

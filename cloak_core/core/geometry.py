@@ -7,13 +7,10 @@ a polygon.
 from __future__ import annotations
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int64, Integer
+from jaxtyping import Bool, Float, Integer
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from torch import Tensor
 
-from cloak_core.core.linear import SparseMap, offsets
 from cloak_core.core.polygons import next_corner, polygon_loops
 from cloak_core.exchange.bodies import Bodies, area_vectors, sum_by_face
 from cloak_core.exchange.bodies import face_normals as face_normals
@@ -35,27 +32,6 @@ def vertex_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "vertices
     for corner in range(3):
         np.add.at(total, bodies.triangles[:, corner], vectors)
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-
-
-class NormalOperator:
-    """`vertex_normals` of one topology in any pose, on any device: each vertex sums its triangles' cross products."""
-
-    def __init__(self, triangles: Int64[Tensor, "3 T"], vertex_count: int) -> None:
-        self.triangles = triangles
-        corner = triangles.reshape(-1)
-        order = torch.argsort(corner, stable=True)
-        ones = torch.ones(len(corner), dtype=torch.float64, device=corner.device)
-        count = triangles.shape[1]
-        self._sum = SparseMap(offsets(corner, vertex_count), order % count, ones, count)
-
-    def __call__(self, vertices: Float64[Tensor, "3 V"]) -> Float32[Tensor, "3 V"]:
-        """Compute unit normals in world space; zero where a vertex has no area around it."""
-        if not self.triangles.shape[1]:
-            return torch.zeros_like(vertices, dtype=torch.float32)
-        a, b, c = (vertices[:, corner].T for corner in self.triangles)
-        normals = self._sum.matrix @ torch.linalg.cross(b - a, c - a)
-        length = torch.linalg.vector_norm(normals, dim=1, keepdim=True)
-        return (normals / torch.where(length > 0, length, 1.0)).T.to(torch.float32).contiguous()
 
 
 def face_centres(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:

@@ -38,7 +38,7 @@ class Technique:
         """Compute what is added to the loss: its weight, and the figure that events have under `name`."""
 
     def project(self, colors: Float[torch.Tensor, "C 3"]) -> Float[torch.Tensor, "C 3"]:
-        """Project colours onto those that are allowed; a mean of two of these may not be."""
+        """Move colours to allowed ones. The mean of two allowed colours need not be allowed."""
 
     def content(self) -> dict[str, object]:
         """Record the content of the files that it reads, by the name in config.json (`run_config.FILES`)."""

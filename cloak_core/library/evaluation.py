@@ -18,9 +18,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.library.values import Figures, Named, by_name, cast_of, made_settings, open_backgrounds, open_bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies import evaluate as study
-from cloak_core.studies.opening import open_run, printed, snapshot_pattern
-from cloak_core.studies.trained_run import kept_back, read_run, trained_specs
-from cloak_core.zoo.entry import run_path
+from cloak_core.studies.opening import find_run, open_run, printed, snapshot_pattern
+from cloak_core.studies.trained_run import kept_back, trained_specs
 
 if TYPE_CHECKING:
     from cloak_core.core.training import RunResult
@@ -58,8 +57,7 @@ def evaluate(
     RUN/curve-people.json and .png). An evaluation of the same content in its folder is not made again.
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
-    loaded on `device`; None takes those that the run was trained against,
-    unless one runs code. people: in photographs (`load_people`, or a
+    loaded on `device`; None: the run's own detectors, unless one runs code. people: in photographs (`load_people`, or a
     COCO file): judge on these instead of renders, into RUN/evaluation-people, all else alike; `settings` then decide
     size, threshold, controls, bare, resamples, batch and seed. angles: azimuths in degrees. How to evaluate:
     `settings`, or `changes` of the defaults by the names of `cloak evaluate`'s options (`images_per_view=2`).
@@ -70,8 +68,7 @@ def evaluate(
     false alarms. InputError: no finished run, a scene of another topology, nothing to evaluate on.
     """
     settings = made_settings(settings, changes, EvaluateSettings)
-    folder = run_path(run) if isinstance(run, Named) else Path(run.out)
-    config = read_run(folder)
+    folder, config = find_run(run)
     if over_time and (profile is not None or settings.cycles is not None):
         raise InputError(
             "--over-time: judges snapshots as they are, in our own renders: without --profile and --cycles"

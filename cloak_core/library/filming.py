@@ -14,9 +14,8 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.library.values import Named, by_name, open_backgrounds, open_bodies
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.film import make_film
-from cloak_core.studies.opening import open_run
-from cloak_core.studies.trained_run import kept_back, read_run, trained_specs
-from cloak_core.zoo.entry import run_path
+from cloak_core.studies.opening import find_run, open_run
+from cloak_core.studies.trained_run import kept_back, trained_specs
 
 if TYPE_CHECKING:
     from cloak_core.core.training import RunResult
@@ -42,8 +41,7 @@ def film(
     prints: frames hidden, the longest visible run, first sight, tracks; per detector for colours and clothing.
     InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
     """
-    folder = run_path(run) if isinstance(run, Named) else Path(run.out)
-    config = read_run(folder)
+    folder, config = find_run(run)
     bodies = open_bodies(scene or kept_back("scene", config))
     pattern, _, _ = open_run(folder, config, colors, bodies, logo)
     behind = open_backgrounds(backgrounds or kept_back("backgrounds", config))

@@ -49,9 +49,9 @@ def by_name(detectors: Mapping[str, Given] | Given | Sequence[Given], device: st
     """Make detectors of what is given, by the names in a mapping, else by their specs."""
     if isinstance(detectors, Mapping):
         return {name: as_detector(detector, device) for name, detector in detectors.items()}
-    detector = detectors if isinstance(detectors, (list, tuple)) else [detectors]
-    made = as_detectors(detector, device)
-    return {full_spec(one) if isinstance(one, str) else d.spec: d for one, d in zip(detector, made, strict=True)}
+    several = detectors if isinstance(detectors, (list, tuple)) else [detectors]
+    made = as_detectors(several, device)
+    return {full_spec(one) if isinstance(one, str) else d.spec: d for one, d in zip(several, made, strict=True)}
 
 
 def made_settings(settings: T | None, changes: dict, make: Callable[..., T]) -> T:

@@ -23,10 +23,10 @@ from torch import Tensor
 from cloak_core.core.evaluate import Patterns
 from cloak_core.core.evaluation import LOGO
 from cloak_core.core.evaluation.measure import OnProgress
-from cloak_core.core.geometry import NormalOperator
 from cloak_core.core.images import ImageSet, Indices
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import read_picture
+from cloak_core.core.visibility.normals import NormalOperator
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text

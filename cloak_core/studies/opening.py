@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -32,6 +33,9 @@ from cloak_core.sources.photographs.rig import NUMBER, body_rig, faces_on_rig
 from cloak_core.studies.trained_run import read_run
 from cloak_core.zoo.entry import MARK, run_path
 
+if TYPE_CHECKING:
+    from cloak_core.core.training import RunResult
+
 CLOTHES = "shirt+trousers"
 """What a picture covers as cloth, and the controls, where nothing else is said."""
 CHEST = 0.40
@@ -56,6 +60,15 @@ def _chest_cover() -> Cover:
     rig, topology = body_rig(), sample_bodies().topology
     forward = np.isin(rig.segment_of_triangle, (NUMBER["chest"], NUMBER["pelvis"])) & (rig.normals[:, 2] > 0.1)
     return Cover(np.unique(faces_on_rig(topology)[forward]), topology, name="chest")
+
+
+def find_run(run: RunResult | str | os.PathLike) -> tuple[Path, dict]:
+    """Find a run, by its folder, as zoo:NAME or as what training returned, and read its record.
+
+    InputError: no finished run.
+    """
+    folder = run_path(run) if isinstance(run, str | os.PathLike) else Path(run.out)
+    return folder, read_run(folder)
 
 
 def cover_of_run(folder: Path, config: dict, bodies: Bodies | None = None) -> Cover:

@@ -28,6 +28,18 @@ def scene(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "line", ["zoo list", "scene sample --out there", "logo select --scene sample --region chest --out it.npy"]
+)
+def test_what_needs_no_torch_starts_without_it(tmp_path, line):
+    """torch takes two seconds to load."""
+    script = "import sys\nfrom cloak_core.cli import main\ntry:\n    main(sys.argv[1:])\nexcept SystemExit as end:\n"
+    script += "    assert not end.code and 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", script, *line.split()], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
 def test_json_alone_on_standard_output(scene):
     done = cloak("scene", "info", scene, "--json")
     assert done.returncode == 0

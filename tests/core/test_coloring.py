@@ -124,7 +124,7 @@ def test_gradients_go_to_the_value_and_to_its_ink():
 @pytest.mark.parametrize("optimizer", ["sgd", "adam", "mi"])
 @pytest.mark.parametrize("gamut", ["projection", "sigmoid"])
 def test_every_optimiser_finds_the_two_colours_that_are_wanted(optimizer, gamut):
-    """Six faces, of which each wants red or blue: learnt inks come to these."""
+    """Three of six faces are pulled to red, three to blue: the learnt inks become red and blue."""
     wanted = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])[[0, 0, 1, 0, 1, 1]]
     settings = make_settings("best", optimizer=optimizer, gamut=gamut).optimization
     lr = {"sgd": 2.0 if gamut == "sigmoid" else 0.2, "adam": 0.05, "mi": 0.02}[optimizer]

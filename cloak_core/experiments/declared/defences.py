@@ -55,7 +55,7 @@ def beats_adaptive(rows: Rows, same: tuple[str, ...]) -> Rows:
     return compared
 
 
-# --- defences: what each is worth against cloaks that know it, and against those that do not
+# --- defences: each against cloaks trained through it, and against cloaks trained without it
 
 USUAL_DEFENCES = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")
 NO_DEFENCE = "none"
@@ -106,7 +106,7 @@ DEFENCES = Experiment(
 )
 
 
-# --- hardening: a suite of attacks, of which the strongest counts
+# --- hardening: a suite of attacks; the strongest counts
 
 LEAST_IMAGES = 300
 """Of each evaluation, so that a difference of two points in clean recall shows."""

@@ -15,11 +15,12 @@ from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
 from cloak_core.core.cameras import Camera, Vector
-from cloak_core.core.geometry import NormalOperator, outward_parts
+from cloak_core.core.geometry import outward_parts
 from cloak_core.core.paint import bake
 from cloak_core.core.places import corner_places
 from cloak_core.core.view import BakedView, Fragments, Screen, Surface, View, Visibility, Window
 from cloak_core.core.visibility.compiled import backend
+from cloak_core.core.visibility.normals import NormalOperator
 from cloak_core.core.visibility.projection import project
 from cloak_core.core.visibility.rasterizer import area_fragments, bounding_window, merge_samples, rasterize, row_bands
 from cloak_core.core.visibility.settings import RenderSettings

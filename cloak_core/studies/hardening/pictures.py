@@ -124,4 +124,4 @@ def check_places(backgrounds: Backgrounds, detector: Detector, size: int, source
     words = f"{source}: somebody is in {len(problems)} of {len(backgrounds)} backgrounds ({shown})"
     if len(problems) > MOST_WITH_PEOPLE * len(backgrounds):
         raise InputError(f"{words}; backgrounds show nobody, photographs of people go to --photos or --people")
-    _log.warning("%s, says the detector; take out those that show people", words)
+    _log.warning("%s, the detector says; remove the pictures that show people", words)

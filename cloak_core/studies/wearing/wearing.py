@@ -267,7 +267,7 @@ def choose_widths(
     """Replace each `@tile=auto` of COLORS by the width that hides most.
 
     people, detectors: whom the choice is made on. judging: the people and detectors that judge afterwards. Returns
-    COLORS, and what `width_curve` measured for each of those that asked.
+    COLORS, and by each that had an `@tile=auto` what `width_curve` measured.
     InputError: a width is to be chosen, but on nobody, or on somebody who judges.
     """
     asked = [color for color in colors if AUTO in color]

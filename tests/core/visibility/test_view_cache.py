@@ -8,7 +8,7 @@ import torch
 from bodies_made import sphere
 
 from cloak_core.core.cameras import Camera
-from cloak_core.core.geometry import NormalOperator
+from cloak_core.core.visibility.normals import NormalOperator
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.core.visibility.torch.matrix import shade
 from cloak_core.exchange.bodies import Bodies

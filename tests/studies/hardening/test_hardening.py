@@ -224,7 +224,7 @@ def test_a_folder_of_people_among_backgrounds_is_refused_and_a_few_are_named(
     with caplog.at_level(logging.WARNING):
         check_places(few, detector, 64, "few")
     assert [r.getMessage() for r in caplog.records] == [
-        "few: somebody is in 1 of 11 backgrounds (p00.png), says the detector; take out those that show people"
+        "few: somebody is in 1 of 11 backgrounds (p00.png), the detector says; remove the pictures that show people"
     ]
     many = load_backgrounds(pictures(tmp_path / "many", 7, 3))
     words = r"many: somebody is in 7 of 10 backgrounds \(p00.png, p01.png, p02.png, p03.png, p04.png, ...\); back"
