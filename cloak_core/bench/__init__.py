@@ -1,1 +1,1 @@
-"""Speed against error, stability, growth, and peers."""
+"""Times of views, steps and detectors on this machine, and the stability of visibility."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import time
@@ -76,17 +75,6 @@ def check_counts(repeats: int, threads: int) -> None:
     """InputError: nothing is to be repeated, or no thread may do it."""
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
-
-
-def with_earlier(path: Path, key: str, new: dict, order: Iterable[str]) -> dict:
-    """Merge what an earlier run left in a JSON file under `key` with what is new, in that order."""
-    known = {}
-    if path.exists():
-        try:
-            known = dict(json.loads(path.read_text(encoding="utf-8"))[key])
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: not the record of an earlier run ({error!r})") from None
-    return {name: (known | new)[name] for name in order if name in known | new}
 
 
 def write_rows(path: Path, rows: Iterable[Mapping], machine: Mapping[str, str]) -> None:

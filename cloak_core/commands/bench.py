@@ -1,10 +1,16 @@
-"""`cloak bench ...`: figures measured on this machine, written by the command that measured them."""
+"""`cloak bench ...`: figures measured on this machine, written by the command that measured them.
+
+The measurements that only developers of the rasterizer need stand in `benchmarks/`, in a checkout and in no wheel.
+"""
 
 from __future__ import annotations
 
+import importlib
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
@@ -14,6 +20,7 @@ from cloak_core.commands.options import DetectorOptions, Photographed, keep_free
 from cloak_core.commands.progress import counted
 from cloak_core.core.settings.values import Range
 from cloak_core.core.visibility.settings import RenderOptions
+from cloak_core.files.errors import InputError
 from cloak_core.files.writing import require_new
 from cloak_core.sources.bodies.opening import load_scene
 
@@ -43,6 +50,18 @@ def figures(record: dict, indent: str = "") -> Iterator[str]:
 
 def _figure(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def developers_benchmark(name: str) -> ModuleType:
+    """Import a module of `benchmarks/`, which stands beside the package. InputError: there is none, as in a wheel."""
+    checkout = Path(__file__).parents[2]
+    if not (checkout / "benchmarks" / f"{name}.py").is_file():
+        raise InputError(
+            f"cloak bench {name}: runs in a checkout of Cloak alone; the installed package has no benchmarks"
+        )
+    if str(checkout) not in sys.path:
+        sys.path.append(str(checkout))
+    return importlib.import_module(f"benchmarks.{name}")
 
 
 @dataclass(kw_only=True)
@@ -172,9 +191,9 @@ class Accuracy(Bench):
     """Folder for the figures; earlier ones stay beside these."""
 
     def run(self) -> dict:
-        from cloak_core.bench.accuracy import run_bench_accuracy
-
-        return run_bench_accuracy(load_scene(self.scene), tell=err.print, **self.given("scene"))
+        return developers_benchmark("accuracy").run_bench_accuracy(
+            load_scene(self.scene), tell=err.print, **self.given("scene")
+        )
 
 
 @dataclass(kw_only=True)
@@ -198,11 +217,10 @@ class Growth(Photographed, Bench):
     """Folder for the figures; earlier ones stay beside these."""
 
     def run(self) -> dict:
-        from cloak_core.bench.growth import run_bench_growth
-
         people = (self.people, self.images) if self.people else None
         more = {"only": self.only, "out": self.out, "people": people, "most": self.most}
-        return run_bench_growth(self.threads, int(self.memory * 2**30), self.quick, tell=err.print, **more)
+        run = developers_benchmark("growth").run_bench_growth
+        return run(self.threads, int(self.memory * 2**30), self.quick, tell=err.print, **more)
 
 
 @dataclass(kw_only=True)
@@ -217,9 +235,8 @@ class Gpu(Photographed, Bench):
     """JSON file to write."""
 
     def run(self) -> dict:
-        from cloak_core.bench.gpu import run_bench_gpu
-
-        result = run_bench_gpu(self.people, self.images, self.scene, self.out, tell=err.print)
+        run = developers_benchmark("gpu").run_bench_gpu
+        result = run(self.people, self.images, self.scene, self.out, tell=err.print)
         if result["failed"]:
             result["failed"] = "; ".join(f"{name}: {words}" for name, words in result["failed"].items())
         else:

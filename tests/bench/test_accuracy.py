@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.bench import accuracy
-from cloak_core.bench.accuracy import FLAT, write_report
-from cloak_core.bench.growth import sphere
-from cloak_core.bench.peers import PEERS
+from benchmarks import accuracy
+from benchmarks.accuracy import FLAT, write_report
+from benchmarks.growth import sphere
+from benchmarks.peers import PEERS
 from cloak_core.bench.reference import EXACT, reference
 from cloak_core.core.cameras import Camera
 from cloak_core.core.visibility.settings import Light, RenderSettings

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.bench import growth
-from cloak_core.bench.growth import grow_people, grow_step, write_simulated
+from benchmarks import growth
+from benchmarks.growth import grow_people, grow_step, write_simulated
 from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.people import load_people
 from tests.sources.photographs.made_people import write_people

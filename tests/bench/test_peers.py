@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cloak_core.bench.growth import sphere
-from cloak_core.bench.peers import PEERS, PeerViewCache, available
+from benchmarks.growth import sphere
+from benchmarks.peers import PEERS, PeerViewCache, available
 from cloak_core.core.cameras import Camera
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.sources.bodies.view_cache import ViewCache

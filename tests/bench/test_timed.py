@@ -7,10 +7,12 @@ import pandas as pd
 import pytest
 import torch
 
-from cloak_core.bench import detectors, gpu
-from cloak_core.bench.growth import sphere
+from benchmarks import gpu
+from benchmarks.growth import sphere
+from cloak_core.bench import detectors
 from cloak_core.bench.step import run_bench_step, write_table
 from cloak_core.bench.views import run_bench_views
+from cloak_core.commands import bench
 from cloak_core.core.cameras import Camera
 from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
@@ -96,3 +98,12 @@ def test_a_part_that_fails_is_named_and_the_others_go_on(monkeypatch: pytest.Mon
     monkeypatch.setattr(gpu, "PARTS", {"one": refuse, "other": lambda material: {"ms": 1.0}})
     record = gpu.run_bench_gpu()
     assert record["failed"] == {"one": "no room"} and record["measured"] == {"other": {"ms": 1.0}}
+
+
+def test_a_wheel_says_that_developers_benchmarks_need_a_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert bench.developers_benchmark("gpu") is gpu
+    monkeypatch.setattr(bench, "__file__", str(tmp_path / "cloak_core" / "commands" / "bench.py"))
+    with pytest.raises(InputError, match="cloak bench gpu: runs in a checkout"):
+        bench.developers_benchmark("gpu")

@@ -26,9 +26,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
-from cloak_core.bench.measuring import check_counts, clock, machine, timed, with_earlier
-from cloak_core.bench.peers import PeerViewCache, available, usable
+from benchmarks.accuracy_scenes import SCENES, Scene, make_scene
+from benchmarks.peers import PeerViewCache, available, usable
+from benchmarks.records import with_earlier
+from cloak_core.bench.measuring import check_counts, clock, machine, timed
 from cloak_core.bench.reference import EXACT, Reference, ReferenceMatrix, matrix_of, reference
 from cloak_core.bench.views import cached_render
 from cloak_core.core.view import CrowdedPixels

@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from benchmarks.growth import sphere
 from cloak_core.bench.detectors import run_bench_detectors
-from cloak_core.bench.growth import sphere
 from cloak_core.bench.measuring import machine
 from cloak_core.bench.stability import cuda as compare_with_cpu
 from cloak_core.bench.step import run_bench_step

@@ -27,7 +27,8 @@ import torch
 import trimesh
 from PIL import Image
 
-from cloak_core.bench.measuring import check_counts, machine, with_earlier
+from benchmarks.records import with_earlier
+from cloak_core.bench.measuring import check_counts, machine
 from cloak_core.bench.step import Bench
 from cloak_core.core.cameras import Camera
 from cloak_core.core.evaluation.settings import WearSettings
