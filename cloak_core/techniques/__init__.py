@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 
 import torch
@@ -12,11 +13,6 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.core.settings import TrainSettings
 from cloak_core.core.technique import Technique, Techniques
 from cloak_core.exchange.profiles import read_profile
-from cloak_core.files.errors import InputError
-from cloak_core.sources.bodies.logos.palette import read_palette
-from cloak_core.techniques.near import Near, read_garment
-from cloak_core.techniques.printability import Printability
-from cloak_core.techniques.shake import Shake
 
 
 def build_techniques(
@@ -28,25 +24,23 @@ def build_techniques(
 ) -> tuple[Techniques, Coloring]:
     """Build the techniques that the settings have on, `foreign` ones after them, and what makes colours with them.
 
+    Each file of this folder has `build(settings, pattern, detectors, device)`, and is imported only where it is on.
     pattern: what has colours. InputError: a technique does not fit, or its file cannot be read.
     """
-    colors, objective, surrogates = settings.pattern, settings.objective, settings.surrogates
-    palette = None if objective.palette is None else read_palette(objective.palette)
-    built: list[Technique] = []
-    if colors.near is not None:
-        garment = read_garment(settings, pattern)
-        built.append(Near(garment, colors.within, 2 * colors.within))
-    if palette is not None:
-        built.append(Printability(objective.nps_weight, palette, device))
-    if surrogates.shake:
-        for detector in detectors:
-            if detector.compiled:
-                raise InputError(f"--detector {detector.spec}: compiled, so --shake does not reach into it")
-        built.append(Shake(surrogates.shake, settings.run.seed))
-    techniques = Techniques([*built, *foreign])
+    colors = settings.pattern
+    is_on = {
+        "near": colors.near is not None,
+        "printability": settings.objective.palette is not None,
+        "shake": settings.surrogates.shake > 0,
+    }
+    built = {
+        name: importlib.import_module(f"cloak_core.techniques.{name}").build(settings, pattern, detectors, device)
+        for name in is_on
+        if is_on[name]
+    }
+    techniques = Techniques([*built.values(), *foreign])
     inks = None
     if colors.colors_at_most is not None:
-        fixed = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
-        inks = Inks(colors.colors_at_most, fixed)
+        inks = Inks(colors.colors_at_most, built["printability"].palette if "printability" in built else None)
     profile = None if colors.profile is None else read_profile(colors.profile)
     return techniques, Coloring(settings.optimization, pattern, inks, profile, techniques, device)

@@ -109,19 +109,20 @@ class Near(Technique):
         return reached
 
 
-def read_garment(settings: TrainSettings, pattern: Pattern) -> Float[np.ndarray, "L 3"]:
-    """Find the garment that colours stay close to; where faces share a colour, its mean there.
+def build(settings: TrainSettings, pattern: Pattern, detectors: object, device: object) -> Near:
+    """Read the garment that colours stay close to; where faces share a colour, its mean there.
 
     InputError: no such garment; one of several colours where inks are counted.
     """
     named, most = settings.pattern.near, settings.pattern.colors_at_most
+    within = settings.pattern.within
     garment = garment_colors(named, pattern.bodies, pattern.cover)
     garment = read_start(Path(named), pattern.cover, "--near") if garment is None else garment
     if most is not None and len(np.unique(garment, axis=0)) > 1:
         raise InputError("--near: with --colors-at-most the garment must have one colour")
     if most is not None and settings.objective.palette is not None:
         raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
-    return pattern.from_faces(garment)
+    return Near(pattern.from_faces(garment), within, 2 * within)
 
 
 def garment_colors(spec: str, bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"] | None:

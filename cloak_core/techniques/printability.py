@@ -11,8 +11,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from cloak_core.core.settings import TrainSettings
 from cloak_core.core.technique import Technique
 from cloak_core.files.identity import sha256_arrays
+from cloak_core.sources.bodies.logos.palette import read_palette
 
 
 class Printability(Technique):
@@ -39,3 +41,8 @@ class Printability(Technique):
 
     def content(self) -> dict[str, object]:
         return {"palette": {"colors": len(self.colors), "sha256": sha256_arrays(self.colors)}}
+
+
+def build(settings: TrainSettings, pattern: object, detectors: object, device: torch.device) -> Printability:
+    """Read the palette. InputError: it cannot be read."""
+    return Printability(settings.objective.nps_weight, read_palette(settings.objective.palette), device)

@@ -9,13 +9,16 @@ ONNX graphs, a user's own module), not on compiled ones.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 from torch.overrides import TorchFunctionMode
 
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.settings import TrainSettings
 from cloak_core.core.technique import Technique
+from cloak_core.files.errors import InputError
 
 _STREAM = 0x5EA
 """Of random numbers, apart from those that draw the images."""
@@ -83,3 +86,11 @@ def _are_maps(one: object, other: object) -> bool:
     if not (isinstance(one, torch.Tensor) and isinstance(other, torch.Tensor)):
         return False
     return one.dim() == 4 and one.shape == other.shape and one.shape[1] >= _FEW_CHANNELS and one.is_floating_point()
+
+
+def build(settings: TrainSettings, pattern: object, detectors: Sequence[Detector], device: object) -> Shake:
+    """InputError: a detector is compiled."""
+    for detector in detectors:
+        if detector.compiled:
+            raise InputError(f"--detector {detector.spec}: compiled, so --shake does not reach into it")
+    return Shake(settings.surrogates.shake, settings.run.seed)
