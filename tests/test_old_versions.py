@@ -15,7 +15,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.report.stored import check_folder, is_earlier_on_people
 from cloak_core.studies.trained_run import seen_in_training
-from cloak_core.zoo.entry import _photographs as zoo_photographs
+from cloak_core.zoo.adding import _photographs as zoo_photographs
 from cloak_core.zoo.entry import run_path
 from tests.core.test_run_identity import picture
 

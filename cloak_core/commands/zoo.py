@@ -222,7 +222,8 @@ class Add(Command):
     """Folder of entries (default: the one that ships)."""
 
     def run(self) -> dict:
-        from cloak_core.zoo.entry import SHELF, write_entry
+        from cloak_core.zoo.adding import write_entry
+        from cloak_core.zoo.entry import SHELF
 
         folder = self.folder or SHELF
         words = {"about": self.about, "licence": self.licence, "command": self.command, "logo": self.logo}

@@ -19,7 +19,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies.opening import open_pattern, open_run
-from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, read_start, run_path, shelved, write_entry
+from cloak_core.zoo.adding import write_entry
+from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, read_start, run_path, shelved
 
 
 @pytest.fixture

@@ -18,7 +18,8 @@ from cloak_core.sources.photographs.crowd import Crowd
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.studies.opening import open_run, snapshot_pattern
 from cloak_core.studies.report.stored import read_evaluation
-from cloak_core.zoo.entry import entry, write_entry
+from cloak_core.zoo.adding import write_entry
+from cloak_core.zoo.entry import entry
 from tests.core.fakes import RedDetector
 from tests.detectors.helpers import write_tiny
 from tests.schemas import validate
