@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cloak_core.core.detector.scoring import box_iou
-from cloak_core.detectors.darknet.layers import Region
+from cloak_core.detectors.decoding import AnchorBoxes
 
 IGNORE_IOU = 0.5
 """A prediction that overlaps a person this much is never told that it sees nothing."""
@@ -66,7 +66,7 @@ class Losses(NamedTuple):
 
 def region_loss(
     raw: Float[Tensor, "B C h w"],
-    head: Region,
+    head: AnchorBoxes,
     boxes: Float[Tensor, "B M 4"],
     present: Bool[Tensor, "B M"],
     ignored: Bool[Tensor, "B M"],

@@ -11,7 +11,7 @@ from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import check_size, read_weights
-from cloak_core.detectors.decoding import Decoded, in_pixels
+from cloak_core.detectors.decoding import decode_heads
 from cloak_core.detectors.pixels import fit
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
@@ -43,9 +43,7 @@ class DarknetDetector(Detector):
         size = self.network.input_size
         inputs, placement = fit(images, size, self.letterbox)
         maps = self.network(inputs.contiguous(memory_format=self.memory_format))
-        parts = [head.decode(raw, size) for head, raw in zip(self.network.heads, maps, strict=True)]
-        decoded = Decoded(*(torch.cat(group, dim=1) for group in zip(*parts, strict=True)))
-        return decoded._replace(boxes=in_pixels(decoded.boxes, size)).of_person(self.person, placement)
+        return decode_heads(self.network.heads, maps, size).of_person(self.person, placement)
 
 
 def load_darknet(request: Request) -> DarknetDetector:

@@ -12,15 +12,13 @@ from cloak_core.detectors.darknet.layers import (
     ACTIVATIONS,
     BatchNorm,
     Convolution,
-    Head,
     MaxPool,
     Plain,
-    Region,
     WeightedShortcut,
-    Yolo,
     match_channels,
     reorg,
 )
+from cloak_core.detectors.decoding import AnchorBoxes
 from cloak_core.detectors.specs import MAX_SIDE
 
 MAX_CHANNELS = 1 << 16
@@ -71,9 +69,9 @@ class Network(nn.Module):
             raise net.error("the network has no [region] and no [yolo]: not a detector")
 
     @property
-    def heads(self) -> list[Head]:
+    def heads(self) -> list[AnchorBoxes]:
         """Detection heads, in network order."""
-        return [layer for layer in self.layers if isinstance(layer, Head)]
+        return [layer for layer in self.layers if isinstance(layer, AnchorBoxes)]
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """Run on images [B, 3, H, W] in [0, 1] at network size: a raw map [B, A * (5 + K), h, w] per head.
@@ -85,7 +83,7 @@ class Network(nn.Module):
             x = layer(x, *(earlier[source] for source in getattr(layer, "sources", ())))
             if index in self._needed:
                 earlier[index] = x
-            if isinstance(layer, Head):
+            if isinstance(layer, AnchorBoxes):
                 maps.append(x)
         return maps
 
@@ -215,23 +213,30 @@ def _dropout(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Mo
     return nn.Dropout(probability), shape
 
 
-def _region(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    section.refuse("tree", "map", "background")
+def _head(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    """[region] (YOLOv2): anchors in cells. [yolo] (v3, v4): anchors in pixels, of which a mask chooses some."""
+    section.refuse("tree", "map", "background", "obj_channels", "embedding_layer")
     if section.integer("coords", 4) != 4:
         raise section.error("coords other than 4 are not supported")
-    softmax = bool(section.integer("softmax", 0))
-    return _check_head(Region(_anchors(section), section.integer("classes", 20, low=1), softmax), section, shape), shape
-
-
-def _yolo(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    section.refuse("obj_channels", "embedding_layer")
-    anchors = _anchors(section)
-    mask = section.listed("mask", int) or list(range(len(anchors)))
-    if not all(0 <= index < len(anchors) for index in mask):
-        raise section.error(f"mask={section.options.get('mask', '')} reaches beyond its {len(anchors)} anchors")
-    scale, new_coords = section.number("scale_x_y", 1.0), bool(section.integer("new_coords", 0))
-    head = Yolo([anchors[index] for index in mask], section.integer("classes", 20, low=1), scale, new_coords)
-    return _check_head(head, section, shape), shape
+    count, values = section.integer("num", 1, low=1), section.listed("anchors", float)
+    if len(values) != 2 * count:
+        raise section.error(f"num={count} needs {2 * count} numbers in anchors=, found {len(values)}")
+    classes = section.integer("classes", 20, low=1)
+    anchors = list(zip(values[::2], values[1::2], strict=True))
+    if section.kind == "region":
+        head = AnchorBoxes(anchors, classes, in_cells=True, softmax=bool(section.integer("softmax", 0)))
+    else:
+        mask = section.listed("mask", int) or list(range(count))
+        if not all(0 <= index < count for index in mask):
+            raise section.error(f"mask={section.options.get('mask', '')} reaches beyond its {count} anchors")
+        scale, squared = section.number("scale_x_y", 1.0), bool(section.integer("new_coords", 0))
+        head = AnchorBoxes([anchors[index] for index in mask], classes, scale_xy=scale, squared=squared)
+    if head.channels != shape[0]:
+        raise section.error(
+            f"{len(head.anchors)} anchors and {classes} classes need {head.channels} channels, "
+            f"but the layer before has {shape[0]} filters"
+        )
+    return head, shape
 
 
 BUILDERS = {
@@ -244,8 +249,8 @@ BUILDERS = {
     "shortcut": _shortcut,
     "upsample": _upsample,
     "dropout": _dropout,
-    "region": _region,
-    "yolo": _yolo,
+    "region": _head,
+    "yolo": _head,
 }
 
 
@@ -272,19 +277,3 @@ def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:
         if not 0 <= index < len(shapes):
             raise section.error(f"{key}={text}: there is no such layer before this one (layer {len(shapes)})")
     return absolute
-
-
-def _anchors(section: Section) -> list[tuple[float, float]]:
-    count, values = section.integer("num", 1, low=1), section.listed("anchors", float)
-    if len(values) != 2 * count:
-        raise section.error(f"num={count} needs {2 * count} numbers in anchors=, found {len(values)}")
-    return list(zip(values[::2], values[1::2], strict=True))
-
-
-def _check_head(head: Head, section: Section, shape: Shape) -> Head:
-    if head.channels != shape[0]:
-        raise section.error(
-            f"{len(head.anchors)} anchors and {head.classes} classes need {head.channels} channels, "
-            f"but the layer before has {shape[0]} filters"
-        )
-    return head

@@ -12,7 +12,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.classes import COCO
-from cloak_core.detectors.decoding import Decoded, cell_places, corners, expected_distances, in_pixels, queries
+from cloak_core.detectors.decoding import (
+    AnchorBoxes,
+    Decoded,
+    cell_places,
+    corners,
+    decode_heads,
+    expected_distances,
+    in_pixels,
+    queries,
+)
 
 Size = tuple[int, int]
 Decode = Callable[[Sequence[Tensor], Size], Decoded]
@@ -166,25 +175,18 @@ class RawYolo:
     sigmoid(t), not 2 sigmoid(t) - 0.5 (YOLOv5's and YOLOv7's own documentation)."""
 
     def __call__(self, outputs: Sequence[Tensor], size: Size) -> Decoded:
-        count = len(self.anchors[0])
-        heads = [o.unflatten(1, (count, -1)).permute(0, 1, 3, 4, 2) if o.dim() == 4 else o for o in outputs]
-        if len(heads) != len(self.anchors) or any(head.dim() != 5 or head.shape[1] != count for head in heads):
-            raise ValueError(f"heads {[list(head.shape) for head in heads]}")
-        heads.sort(key=lambda head: -head.shape[2])
-        rows = torch.cat([self._decode(*head, size) for head in zip(heads, self.anchors, strict=True)], dim=1)
-        return Decoded(corners(rows[..., :4]), rows[..., 5:], rows[..., 4])
-
-    def _decode(self, head: Float[Tensor, "B A h w C"], anchors: tuple, size: Size) -> Float[Tensor, "B N C"]:
-        height, width = head.shape[2:4]
-        cell = cell_places(height, width).to(head)
-        stride = torch.tensor([size[1] / width, size[0] / height]).to(head)
-        anchor = torch.tensor(anchors).to(head).view(1, -1, 1, 1, 2)
-        place, rest = head[..., :2].sigmoid(), head[..., 4:].sigmoid()
-        if self.exponential:
-            centre, extent = place + cell, anchor * head[..., 2:4].exp()
-        else:
-            centre, extent = 2 * place - 0.5 + cell, anchor * (2 * head[..., 2:4].sigmoid()) ** 2
-        return torch.cat([centre * stride, extent, rest], dim=-1).flatten(1, 3)
+        count, maps = (
+            len(self.anchors[0]),
+            [o.permute(0, 1, 4, 2, 3).flatten(1, 2) if o.dim() == 5 else o for o in outputs],
+        )
+        if any(raw.dim() != 4 or raw.shape[1] % count for raw in maps):
+            raise ValueError(f"heads {[list(raw.shape) for raw in outputs]}")
+        maps.sort(key=lambda raw: -raw.shape[2])
+        classes, scale = maps[0].shape[1] // count - 5, 1.0 if self.exponential else 2.0
+        heads = [
+            AnchorBoxes(anchors, classes, scale_xy=scale, squared=not self.exponential) for anchors in self.anchors
+        ]
+        return decode_heads(heads, maps if self.exponential else [raw.sigmoid() for raw in maps], size)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from cloak_core.detectors.darknet.layers import Head, Region, Yolo
+from cloak_core.detectors.decoding import AnchorBoxes
 
 BOX_WEIGHT = 2.0
 """Of places and sizes beside objectness and classes."""
@@ -162,7 +162,7 @@ def score_distance(
 
 
 def head_distance(
-    heads: Sequence[Head],
+    heads: Sequence[AnchorBoxes],
     answer: Sequence[Float[Tensor, "B _ _ _"]],
     wanted: Sequence[Float[Tensor, "B _ _ _"]],
     person: int,
@@ -176,14 +176,14 @@ def head_distance(
     total = torch.zeros(len(answer[0]), device=answer[0].device)
     for head, ours, theirs in zip(heads, answer, wanted, strict=True):
         student, goal = head.split(ours.float()), head.split(theirs.detach().float())
-        objectness = _probability(head, goal[:, :, 4])
+        objectness = head.logistic(goal[:, :, 4])
         classes, kinds = _classes(head, student, goal)
         target = objectness
         if surer is not None:
             reported = (objectness * classes[:, :, person] > found_at) & surer.images.view(-1, 1, 1, 1)
             target = torch.where(reported, objectness.clamp(min=surer.least), objectness)
         seen = (1 + FOUND_WEIGHT * target) * _coins(_logits(head, student[:, :, 4]), target)
-        places = (_probability(head, student[:, :, :2]) - _probability(head, goal[:, :, :2])).square().sum(2)
+        places = (head.logistic(student[:, :, :2]) - head.logistic(goal[:, :, :2])).square().sum(2)
         sizes = F.smooth_l1_loss(student[:, :, 2:4], goal[:, :, 2:4], reduction="none", beta=0.1).sum(2)
         each = seen + objectness * kinds + BOX_WEIGHT * objectness * (places + sizes)
         total = total + each.flatten(1).sum(1)
@@ -191,24 +191,19 @@ def head_distance(
 
 
 def _classes(
-    head: Head, student: Float[Tensor, "B A C h w"], goal: Float[Tensor, "B A C h w"]
+    head: AnchorBoxes, student: Float[Tensor, "B A C h w"], goal: Float[Tensor, "B A C h w"]
 ) -> tuple[Float[Tensor, "B A K h w"], Float[Tensor, "B A h w"]]:
     """Compute the wanted classes' probabilities, and their Kullback-Leibler divergence from those said."""
     student, goal = student[:, :, 5:], goal[:, :, 5:]
-    if isinstance(head, Region) and head.softmax:
+    if head.softmax:
         classes = goal.softmax(2)
         return classes, (classes * (goal.log_softmax(2) - student.log_softmax(2))).sum(2)
-    classes = _probability(head, goal)
+    classes = head.logistic(goal)
     return classes, _coins(_logits(head, student), classes).sum(2)
 
 
-def _probability(head: Head, raw: Tensor) -> Tensor:
-    """Apply the logistic function, which is in the network's last layer where the head has `new_coords`."""
-    return raw if isinstance(head, Yolo) and head.new_coords else raw.sigmoid()
-
-
-def _logits(head: Head, raw: Tensor) -> Tensor:
-    return torch.logit(raw.clamp(1 - MOST, MOST)) if isinstance(head, Yolo) and head.new_coords else raw
+def _logits(head: AnchorBoxes, raw: Tensor) -> Tensor:
+    return torch.logit(raw.clamp(1 - MOST, MOST)) if head.squared else raw
 
 
 def _coins(logits: Tensor, target: Tensor) -> Tensor:

@@ -12,8 +12,9 @@ from torch import Tensor, nn
 from cloak_core.detectors.classes import COCO, UNDERSTOOD, VOC, Description, names_beside
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.detector import BUILTIN_CFG, DarknetDetector
-from cloak_core.detectors.darknet.layers import BatchNorm, Yolo
+from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.darknet.weights import write_darknet
+from cloak_core.detectors.decoding import AnchorBoxes
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.onnx_family.detector import OnnxDetector
@@ -143,7 +144,7 @@ class UltralyticsStudent(Student):
             return answer_distance(answer, wanted, reading, surer)
         # YOLOv5's raw maps are in each anchor box, objectness and classes, as Darknet has them.
         classes = head.m[0].out_channels // head.anchors.shape[1] - 5
-        heads = [Yolo([tuple(a) for a in level], classes, 1.0, new_coords=False) for level in head.anchors.tolist()]
+        heads = [AnchorBoxes(level, classes) for level in head.anchors.tolist()]
         return head_distance(heads, answer, wanted, own.person, point, surer)
 
     def save(self, stem: Path, seen: int) -> str:

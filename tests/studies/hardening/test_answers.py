@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from cloak_core.detectors.darknet.layers import Region, Yolo
+from cloak_core.detectors.decoding import AnchorBoxes
 from cloak_core.studies.hardening.answers import Answer, Reading, Surer, answer_distance, head_distance
 
 SURER = Surer(torch.tensor([True, False]), 0.9)
@@ -59,15 +59,15 @@ def test_a_reported_person_is_to_be_surer_where_asked_and_nothing_else(reading: 
 
 
 HEADS = (
-    Region([(1.0, 2.0), (2.0, 3.0)], 3, softmax=True),
-    Yolo([(10.0, 20.0), (20.0, 30.0)], 3, 1.0, new_coords=False),
-    Yolo([(10.0, 20.0), (20.0, 30.0)], 3, 1.05, new_coords=True),
+    AnchorBoxes([(1.0, 2.0), (2.0, 3.0)], 3, in_cells=True, softmax=True),
+    AnchorBoxes([(10.0, 20.0), (20.0, 30.0)], 3),
+    AnchorBoxes([(10.0, 20.0), (20.0, 30.0)], 3, scale_xy=1.05, squared=True),
 )
 
 
-def maps(head: Region | Yolo, seed: int) -> torch.Tensor:
+def maps(head: AnchorBoxes, seed: int) -> torch.Tensor:
     raw = torch.randn(2, head.channels, 4, 4, generator=torch.Generator().manual_seed(seed))
-    return raw.sigmoid() if getattr(head, "new_coords", False) else raw
+    return raw.sigmoid() if head.squared else raw
 
 
 def test_equal_maps_are_no_distance_apart_and_others_are() -> None:
@@ -91,7 +91,7 @@ def test_following_the_gradient_leads_to_the_teacher() -> None:
 
 
 def test_a_person_of_a_map_is_to_be_surer_where_asked_and_nothing_else() -> None:
-    head = Region([(1.0, 1.0)], 1, softmax=True)
+    head = AnchorBoxes([(1.0, 1.0)], 1, in_cells=True, softmax=True)
     raw = torch.full((2, 6, 1, 2), -8.0)
     raw[:, 4, 0, 0] = 0.4  # probability 0.6: reported, from 0.5 up; the other place is empty
     raw = raw.requires_grad_()
