@@ -1,5 +1,8 @@
 """How far what one network says is from what another says: the loss by which one learns from the other.
 
+Networks answer in three ways: by a row for each place (`Answer`), by raw maps of anchor boxes (`Maps`), and in two
+stages (`Stages`). Each selects images (`of`) and measures its distance from another (`distance`).
+
 Distillation in the place of labels: the student is to say of a cloaked image what the teacher, the detector before it
 was hardened, said of the same image without the cloak (Goldblum et al., "Adversarially robust distillation", AAAI
 2020). The terms are detection's usual ones (classes and objectness by cross-entropy, boxes by distance where something
@@ -30,6 +33,28 @@ SMALLEST_BOX = 8.0
 """Pixels of the images; smaller boxes may be off by as much as one of this side."""
 
 
+class Reading(NamedTuple):
+    """How an answer is to be read."""
+
+    softmax: bool = False
+    """One class at most, the first being the background; False: each class by itself."""
+    person: int | None = None
+    """Its class; None where nobody is to be surer."""
+    found_at: float = 0.5
+    """A person is reported where the class's probability, times that of `trust`, is above it."""
+    corners: bool = False
+    """Boxes are corners in pixels, and compared in units of the wanted box's mean side."""
+
+
+class Surer(NamedTuple):
+    """Where the student is to be surer than the teacher: of what the teacher reports as a person."""
+
+    images: Bool[Tensor, " B"]
+    """In which of the images."""
+    least: float
+    """The least probability of these persons, below 1."""
+
+
 class Answer(NamedTuple):
     """What a network says of B images at A places (anchors, cells, proposals or boxes), before any activation."""
 
@@ -44,48 +69,28 @@ class Answer(NamedTuple):
         """Select the answers of these images."""
         return Answer(*(None if part is None else part[rows] for part in self))
 
-
-class Reading(NamedTuple):
-    """How an answer is to be read."""
-
-    softmax: bool
-    """One class at most, the first being the background; False: each class by itself."""
-    person: int | None = None
-    """Its class; None where nobody is to be surer."""
-    found_at: float = 0.5
-    """A person is reported where the class's probability, times that of `trust`, is above it."""
-
-
-class Surer(NamedTuple):
-    """Where the student is to be surer than the teacher: of what the teacher reports as a person."""
-
-    images: Bool[Tensor, " B"]
-    """In which of the images."""
-    least: float
-    """The least probability of these persons, below 1."""
-
-
-def answer_distance(
-    answer: Answer, wanted: Answer, reading: Reading, surer: Surer | None = None
-) -> Float[Tensor, " B"]:
-    """Compare two answers; 0 where both are equal and nothing is to be surer."""
-    answer, wanted = (Answer(*(None if part is None else part.float() for part in one)) for one in (answer, wanted))
-    if surer is not None and reading.person is not None:
-        wanted = _raised(wanted, reading, surer)
-    goal = _probabilities(wanted.kinds, reading)
-    if reading.softmax:
-        presence = 1 - goal[..., 0]
-        apart = (goal * (wanted.kinds.log_softmax(-1) - answer.kinds.log_softmax(-1))).sum(-1)
-        classes = (1 + FOUND_WEIGHT * presence) * apart
-    else:
-        presence = goal.amax(-1)
-        classes = ((1 + FOUND_WEIGHT * goal) * _divergence(answer.kinds, wanted.kinds)).sum(-1)
-    each_box = F.smooth_l1_loss(answer.boxes, wanted.boxes, reduction="none", beta=0.1).sum(-1)
-    boxes = ((presence[..., None] if each_box.shape[-1] == 1 else goal) * each_box).sum(-1)
-    total = classes + BOX_WEIGHT * boxes
-    if answer.trust is not None:
-        total = total + presence * _divergence(answer.trust, wanted.trust)
-    return total.sum(1)
+    def distance(self, wanted: Answer, reading: Reading, surer: Surer | None = None) -> Float[Tensor, " B"]:
+        """Compare with the answer wanted; 0 where both are equal and nothing is to be surer."""
+        answer, wanted = (Answer(*(None if part is None else part.float() for part in one)) for one in (self, wanted))
+        if reading.corners:
+            side = (wanted.boxes[..., 2:] - wanted.boxes[..., :2]).abs().mean(-1, keepdim=True).clamp(min=SMALLEST_BOX)
+            answer, wanted = (one._replace(boxes=one.boxes / side) for one in (answer, wanted))
+        if surer is not None and reading.person is not None:
+            wanted = _raised(wanted, reading, surer)
+        goal = _probabilities(wanted.kinds, reading)
+        if reading.softmax:
+            presence = 1 - goal[..., 0]
+            apart = (goal * (wanted.kinds.log_softmax(-1) - answer.kinds.log_softmax(-1))).sum(-1)
+            classes = (1 + FOUND_WEIGHT * presence) * apart
+        else:
+            presence = goal.amax(-1)
+            classes = ((1 + FOUND_WEIGHT * goal) * _divergence(answer.kinds, wanted.kinds)).sum(-1)
+        each_box = F.smooth_l1_loss(answer.boxes, wanted.boxes, reduction="none", beta=0.1).sum(-1)
+        boxes = ((presence[..., None] if each_box.shape[-1] == 1 else goal) * each_box).sum(-1)
+        total = classes + BOX_WEIGHT * boxes
+        if answer.trust is not None:
+            total = total + presence * _divergence(answer.trust, wanted.trust)
+        return total.sum(1)
 
 
 def _probabilities(kinds: Float[Tensor, "B A K"], reading: Reading) -> Float[Tensor, "B A K"]:
@@ -119,9 +124,6 @@ def _cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
     return F.binary_cross_entropy_with_logits(logits, target, reduction="none")
 
 
-# --- what a detector of any kind says of every box, as an answer that another can learn
-
-
 def answer_of(scores: Float[Tensor, "B N K"], boxes: Float[Tensor, "B N 4"]) -> Answer:
     """Make an answer of scores in [0, 1] of K classes and boxes xyxy in pixels."""
     return Answer(scores.float().clamp(LEAST, MOST).logit(), boxes.float().unsqueeze(2))
@@ -145,49 +147,35 @@ def in_the_order_of(student: Answer, teacher: Answer) -> Answer:
     return Answer(teacher.kinds[image, index], teacher.boxes[image, index])
 
 
-def score_distance(
-    student: Answer, teacher: Answer, person: int, found_at: float, surer: Surer | None = None
-) -> Float[Tensor, " B"]:
-    """Compare two answers: each class by itself, corners in units of the box's mean side.
+class Maps(NamedTuple):
+    """Raw maps of anchor boxes, compared by the terms of YOLO's own loss (Redmon et al., 2016 to 2018)."""
 
-    person: its class; found_at: the score at which it is reported.
-    """
-    corners = teacher.boxes
-    side = ((corners[..., 2:] - corners[..., :2]).abs().mean(-1, keepdim=True)).clamp(min=SMALLEST_BOX)
-    own, goal = (answer._replace(boxes=answer.boxes / side) for answer in (student, teacher))
-    return answer_distance(own, goal, Reading(softmax=False, person=person, found_at=found_at), surer)
+    heads: Sequence[AnchorBoxes]
+    raw: Sequence[Float[Tensor, "B _ _ _"]]
+    """An entry for each head."""
 
+    def of(self, rows: Int[Tensor, " b"]) -> Maps:
+        """Select the answers of these images."""
+        return Maps(self.heads, [raw[rows] for raw in self.raw])
 
-# --- the raw maps of Darknet's and YOLOv5's heads, by the terms of YOLO's own loss (Redmon et al., 2016 to 2018)
-
-
-def head_distance(
-    heads: Sequence[AnchorBoxes],
-    answer: Sequence[Float[Tensor, "B _ _ _"]],
-    wanted: Sequence[Float[Tensor, "B _ _ _"]],
-    person: int,
-    found_at: float,
-    surer: Surer | None = None,
-) -> Float[Tensor, " B"]:
-    """Compare the student's raw maps with the teacher's, an entry for each head.
-
-    person: its class; found_at: the score at which it is reported; surer: what is raised is the objectness.
-    """
-    total = torch.zeros(len(answer[0]), device=answer[0].device)
-    for head, ours, theirs in zip(heads, answer, wanted, strict=True):
-        student, goal = head.split(ours.float()), head.split(theirs.detach().float())
-        objectness = head.logistic(goal[:, :, 4])
-        classes, kinds = _classes(head, student, goal)
-        target = objectness
-        if surer is not None:
-            reported = (objectness * classes[:, :, person] > found_at) & surer.images.view(-1, 1, 1, 1)
-            target = torch.where(reported, objectness.clamp(min=surer.least), objectness)
-        seen = (1 + FOUND_WEIGHT * target) * _coins(_logits(head, student[:, :, 4]), target)
-        places = (head.logistic(student[:, :, :2]) - head.logistic(goal[:, :, :2])).square().sum(2)
-        sizes = F.smooth_l1_loss(student[:, :, 2:4], goal[:, :, 2:4], reduction="none", beta=0.1).sum(2)
-        each = seen + objectness * kinds + BOX_WEIGHT * objectness * (places + sizes)
-        total = total + each.flatten(1).sum(1)
-    return total
+    def distance(self, wanted: Maps, reading: Reading, surer: Surer | None = None) -> Float[Tensor, " B"]:
+        """Compare with the maps wanted; where the student is to be surer, it is the objectness that is raised."""
+        total = torch.zeros(len(self.raw[0]), device=self.raw[0].device)
+        for head, ours, theirs in zip(self.heads, self.raw, wanted.raw, strict=True):
+            student, goal = head.split(ours.float()), head.split(theirs.detach().float())
+            objectness = head.logistic(goal[:, :, 4])
+            classes, kinds = _classes(head, student, goal)
+            target = objectness
+            if surer is not None:
+                reported = objectness * classes[:, :, reading.person] > reading.found_at
+                reported &= surer.images.view(-1, 1, 1, 1)
+                target = torch.where(reported, objectness.clamp(min=surer.least), objectness)
+            seen = (1 + FOUND_WEIGHT * target) * _coins(_logits(head, student[:, :, 4]), target)
+            places = (head.logistic(student[:, :, :2]) - head.logistic(goal[:, :, :2])).square().sum(2)
+            sizes = F.smooth_l1_loss(student[:, :, 2:4], goal[:, :, 2:4], reduction="none", beta=0.1).sum(2)
+            each = seen + objectness * kinds + BOX_WEIGHT * objectness * (places + sizes)
+            total = total + each.flatten(1).sum(1)
+        return total
 
 
 def _classes(
@@ -210,3 +198,30 @@ def _coins(logits: Tensor, target: Tensor) -> Tensor:
     """Kullback-Leibler divergence of coins, from logits, whose probabilities are to be `target`."""
     p = target.clamp(1 - MOST, MOST)
     return _cross_entropy(logits, target) + (p * p.log() + (1 - p) * (1 - p).log())
+
+
+class Stages(NamedTuple):
+    """What a two-stage network says of B images."""
+
+    anchors: Answer
+    proposals: list[Float[Tensor, "_ 4"]]
+    """The teacher's best of each image, best first."""
+    judged: Answer
+    """What the second stage says of all of these, one image's after the other's, one in the place of an image."""
+
+    def of(self, rows: Int[Tensor, " b"]) -> Stages:
+        """Select what is said of these images."""
+        parts = [part.split([len(boxes) for boxes in self.proposals]) for part in self.judged[:2]]
+        chosen = rows.tolist()
+        judged = Answer(*(torch.cat([part[k] for k in chosen]) for part in parts))
+        return Stages(self.anchors.of(rows), [self.proposals[k] for k in chosen], judged)
+
+    def distance(self, wanted: Stages, reading: Reading, surer: Surer | None = None) -> Float[Tensor, " B"]:
+        """Compare with the answer wanted, which is of the same proposals; `reading` is the second stage's."""
+        device = self.anchors.kinds.device
+        counts = torch.tensor([len(boxes) for boxes in wanted.proposals], device=device)
+        image = torch.repeat_interleave(torch.arange(len(counts), device=device), counts)
+        if surer is not None:
+            surer = surer._replace(images=surer.images[image])
+        each = self.judged.distance(wanted.judged, reading, surer)
+        return self.anchors.distance(wanted.anchors, Reading()).index_add(0, image, each)

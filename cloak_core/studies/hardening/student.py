@@ -10,11 +10,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from cloak_core.core.detector.protocol import Detector
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.writing import write_text
-from cloak_core.studies.hardening.answers import Answer, Surer
+from cloak_core.studies.hardening.answers import Answer, Maps, Reading, Stages, Surer
 
 NAME = "hardened"
 TRAINABLE = ("builtin", "darknet", "onnx", "python", "torchvision", "ultralytics")
@@ -28,7 +27,7 @@ class Student(ABC):
     (the network is always in eval mode): they are those of the photographs that it was trained on, and cloaks must not
     move them. Its scale and shift learn. So the network that is attacked while it learns is the one that will be used.
 
-    A family says how its networks answer, how two answers compare, and how a network is written.
+    A family says how its networks answer, and how a network is written.
     """
 
     files: ClassVar[tuple[str, ...]]
@@ -36,11 +35,17 @@ class Student(ABC):
     lr: ClassVar[float] = 1e-4
     """Learning rate where the settings say none. NanoDet-m forgot what it knew at 2e-4, YOLOv5n at 3e-4."""
 
-    def __init__(self, detector: Detector, teacher: Detector, spec: str) -> None:
+    corners: ClassVar[bool] = False
+    """Its boxes are corners in pixels (`Reading.corners`)."""
+
+    def __init__(self, detector: Any, teacher: Any, spec: str) -> None:
         self.detector, self.teacher, self.spec = detector, teacher, spec
         self.request = parse_spec(spec)
         options = spec.rpartition("@")[2] if spec != f"{self.request.family}:{self.request.what}".rstrip(":") else ""
         self.options = f"@{options}" if options else ""
+        # What a module of the user's answers is of the person alone.
+        person = getattr(detector, "person", 0)
+        self.reading = Reading(person=person, found_at=detector.operating_point, corners=self.corners)
 
     @property
     def network(self) -> nn.Module:
@@ -53,12 +58,12 @@ class Student(ABC):
         return FAMILIES[self.request.family].licence
 
     @abstractmethod
-    def answer(self, detector: Any, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
-        """Ask the student's or the teacher's network about images: an answer, or a raw map for each head."""
+    def answer(self, detector: Any, images: Float[Tensor, "B 3 H W"]) -> Answer | Maps | Stages:
+        """Ask the student's or the teacher's network about images."""
 
-    @abstractmethod
-    def compare(self, answer: Any, wanted: Any, surer: Surer | None) -> Float[Tensor, " B"]:
-        """Measure how far an answer is from that wanted; see `distance`."""
+    def matched(self, answer: Any, wanted: Any) -> Any:
+        """Put the answer wanted into the order of the student's, where the two may differ."""
+        return wanted
 
     @abstractmethod
     def save(self, stem: Path, seen: int) -> str:
@@ -68,14 +73,14 @@ class Student(ABC):
     @torch.no_grad()
     def wanted(self, images: Float[Tensor, "P 3 H W"], rows: Int[Tensor, " B"]) -> Any:
         """Ask the teacher, for `distance`: its k-th image is to be answered as images[rows[k]] is."""
-        answer = self.answer(self.teacher, images)
-        return [raw[rows] for raw in answer] if isinstance(answer, list) else answer.of(rows)
+        return self.answer(self.teacher, images).of(rows)
 
     def distance(
         self, images: Float[Tensor, "B 3 H W"], wanted: Any, surer: Surer | None = None
     ) -> Float[Tensor, " B"]:
         """Measure how far the student's answers are from those wanted; 0 where they are equal, and nothing is surer."""
-        return self.compare(self.answer(self.detector, images), wanted, surer)
+        answer = self.answer(self.detector, images)
+        return answer.distance(self.matched(answer, wanted), self.reading, surer)
 
     def autocast(self, images: Float[Tensor, "B 3 H W"]) -> torch.autocast:
         """Make the context in which either network is run: half precision where the student learns in it."""

@@ -23,25 +23,15 @@ from cloak_core.detectors.onnx_family.weights import NotTrainable
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.detectors.specs import parse_spec
-from cloak_core.detectors.torchvision_family import DenseDetector
 from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
 from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, distances, rows
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import replace_file, write_bytes, write_json, write_text
-from cloak_core.studies.hardening.answers import (
-    Answer,
-    Reading,
-    Surer,
-    answer_distance,
-    answer_of,
-    head_distance,
-    in_the_order_of,
-    score_distance,
-)
+from cloak_core.studies.hardening.answers import Answer, Maps, answer_of, in_the_order_of
 from cloak_core.studies.hardening.student import NAME, TRAINABLE, Student
-from cloak_core.studies.hardening.torchvision_students import DenseStudent, TwoStageStudent
+from cloak_core.studies.hardening.torchvision_students import TorchvisionStudent
 
 SOURCE = "harden the weights that it was exported from (a .pt or .pth), export those, and assess both"
 """What to do with a file whose weights cannot be trained."""
@@ -59,9 +49,7 @@ def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
         detector = load_detector(spec, device=device, fold=False)
     except NotTrainable as error:
         raise InputError(f"harden {error}; {SOURCE}") from None
-    kinds = {"builtin": DarknetStudent, "onnx": OnnxStudent, "python": PythonStudent, "ultralytics": UltralyticsStudent}
-    kinds |= {"torchvision": DenseStudent if isinstance(detector, DenseDetector) else TwoStageStudent}
-    return kinds.get(family, DarknetStudent)(detector, load_detector(spec, device=device), spec)
+    return STUDENTS[family](detector, load_detector(spec, device=device), spec)
 
 
 class DarknetStudent(Student):
@@ -69,7 +57,6 @@ class DarknetStudent(Student):
 
     files = (".cfg", ".weights")
     lr = 1e-3
-    detector: DarknetDetector
 
     def __init__(self, detector: DarknetDetector, teacher: DarknetDetector, spec: str) -> None:
         super().__init__(detector, teacher, spec)
@@ -82,14 +69,11 @@ class DarknetStudent(Student):
         self.class_names = () if own else names_beside(cfg, teacher.network.heads[0].classes) or ()
         """Where a file beside the cfg says them; none where their number does."""
 
-    def answer(self, detector: DarknetDetector, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
+    def answer(self, detector: DarknetDetector, images: Float[Tensor, "B 3 H W"]) -> Maps:
         inputs, _ = fit(images, detector.network.input_size, detector.letterbox)
         with self.autocast(images):
-            return detector.network(inputs.contiguous(memory_format=detector.memory_format))
-
-    def compare(self, answer: list[Tensor], wanted: list[Tensor], surer: Surer | None) -> Float[Tensor, " B"]:
-        own = self.detector
-        return head_distance(own.network.heads, answer, wanted, own.person, own.operating_point, surer)
+            raw = detector.network(inputs.contiguous(memory_format=detector.memory_format))
+        return Maps(detector.network.heads, raw)
 
     def save(self, stem: Path, seen: int) -> str:
         write_darknet(self.cfg, self.network, stem, seen)
@@ -118,7 +102,6 @@ class UltralyticsStudent(Student):
     """
 
     files = (".pt",)
-    detector: UltralyticsDetector
 
     def __init__(self, detector: UltralyticsDetector, teacher: UltralyticsDetector, spec: str) -> None:
         super().__init__(detector, teacher, spec)
@@ -126,26 +109,15 @@ class UltralyticsStudent(Student):
         if not isinstance(self.head, DenseHead | AnchorHead):
             raise InputError(f"harden {spec}: cannot train RT-DETR, only networks with a box at every cell")
 
-    def answer(self, detector: UltralyticsDetector, images: Float[Tensor, "B 3 H W"]) -> Answer | list[Tensor]:
+    def answer(self, detector: UltralyticsDetector, images: Float[Tensor, "B 3 H W"]) -> Answer | Maps:
         inputs, _ = fit(images, detector.input_size, detector.letterbox, YOLO_GREY)
         with self.autocast(images):
-            maps = detector.network(inputs)
-        if isinstance(self.head, AnchorHead):
-            return maps
-        boxes = torch.cat([distances(box) for box, _ in maps], dim=1)
-        return Answer(torch.cat([rows(kind) for _, kind in maps], dim=1), boxes.unsqueeze(2))
-
-    def compare(
-        self, answer: Answer | list[Tensor], wanted: Answer | list[Tensor], surer: Surer | None
-    ) -> Float[Tensor, " B"]:
-        own, head, point = self.detector, self.head, self.detector.operating_point
-        if not isinstance(head, AnchorHead):
-            reading = Reading(softmax=False, person=own.person, found_at=point)
-            return answer_distance(answer, wanted, reading, surer)
-        # YOLOv5's raw maps are in each anchor box, objectness and classes, as Darknet has them.
-        classes = head.m[0].out_channels // head.anchors.shape[1] - 5
-        heads = [AnchorBoxes(level, classes) for level in head.anchors.tolist()]
-        return head_distance(heads, answer, wanted, own.person, point, surer)
+            raw = detector.network(inputs)
+        if isinstance(self.head, AnchorHead):  # in each box places and sizes, objectness, classes, as Darknet has them
+            classes = raw[0].shape[1] // self.head.anchors.shape[1] - 5
+            return Maps([AnchorBoxes(level, classes) for level in self.head.anchors.tolist()], raw)
+        boxes = torch.cat([distances(box) for box, _ in raw], dim=1)
+        return Answer(torch.cat([rows(kind) for _, kind in raw], dim=1), boxes.unsqueeze(2))
 
     def save(self, stem: Path, seen: int) -> str:
         path = stem.with_suffix(".pt")
@@ -161,7 +133,7 @@ class OnnxStudent(Student):
     """
 
     files = (".onnx",)
-    detector: OnnxDetector
+    corners = True
 
     def answer(self, detector: OnnxDetector, images: Float[Tensor, "B 3 H W"]) -> Answer:
         """Read every box of a detector's outputs: scores of all classes, as its runtimes report them."""
@@ -170,11 +142,8 @@ class OnnxStudent(Student):
             decoded = detector.answer(detector.pixels.apply(inputs))
         return answer_of(decoded.scores, decoded.boxes)
 
-    def compare(self, answer: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
-        own = self.detector
-        if own.weights.chooses:
-            wanted = in_the_order_of(answer, wanted)
-        return score_distance(answer, wanted, own.person, own.operating_point, surer)
+    def matched(self, answer: Answer, wanted: Answer) -> Answer:
+        return in_the_order_of(answer, wanted) if self.detector.weights.chooses else wanted
 
     def save(self, stem: Path, seen: int) -> str:
         """See `Student.save`. InputError: the file that was begun with is there no more, or has changed."""
@@ -239,7 +208,7 @@ class PythonStudent(Student):
     """
 
     files = (".py", ".pth")
-    detector: PythonDetector
+    corners = True
 
     def __init__(self, detector: PythonDetector, teacher: PythonDetector, spec: str) -> None:
         super().__init__(detector, teacher, spec)
@@ -265,12 +234,12 @@ class PythonStudent(Student):
         scores = [detections.scores] if detections.other is None else [detections.scores, detections.other]
         return answer_of(torch.stack(scores, dim=-1), detections.boxes)
 
-    def compare(self, answer: Answer, wanted: Answer, surer: Surer | None) -> Float[Tensor, " B"]:
+    def matched(self, answer: Answer, wanted: Answer) -> Answer:
         if answer.boxes.shape != wanted.boxes.shape:
             raise InputError(
                 f"harden {self.spec}: answers other numbers of boxes for other weights; return them all, unsuppressed"
             )
-        return score_distance(answer, wanted, 0, self.detector.operating_point, surer)
+        return wanted
 
     def save(self, stem: Path, seen: int) -> str:
         file, function = self.request.parts
@@ -279,3 +248,14 @@ class PythonStudent(Student):
         path = str(Path(file).expanduser().absolute())
         write_text(stem.with_suffix(".py"), LOADER.format(function=function, file=path, weights=f"{NAME}.pth"))
         return f"python:{stem.with_suffix('.py')}:{function}{self.options}"
+
+
+STUDENTS: dict[str, type[Student]] = {
+    "builtin": DarknetStudent,
+    "darknet": DarknetStudent,
+    "onnx": OnnxStudent,
+    "python": PythonStudent,
+    "torchvision": TorchvisionStudent,
+    "ultralytics": UltralyticsStudent,
+}
+"""By family, one for each of TRAINABLE."""

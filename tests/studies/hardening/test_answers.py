@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from cloak_core.detectors.decoding import AnchorBoxes
-from cloak_core.studies.hardening.answers import Answer, Reading, Surer, answer_distance, head_distance
+from cloak_core.studies.hardening.answers import Answer, Maps, Reading, Surer
 
 SURER = Surer(torch.tensor([True, False]), 0.9)
+ON_MAPS = Reading(person=1)
 KINDS = [Reading(softmax=True, person=1), Reading(softmax=False, person=1)]
 
 
@@ -23,10 +24,10 @@ def answer(reading: Reading, seed: int) -> Answer:
 @pytest.mark.parametrize("reading", KINDS)
 def test_equal_answers_are_no_distance_apart_and_others_are(reading: Reading) -> None:
     same, other = answer(reading, 0), answer(reading, 1)
-    assert torch.equal(answer_distance(same, same, reading), torch.zeros(2))
-    assert float(answer_distance(other, same, reading).min()) > 1
+    assert torch.equal(same.distance(same, reading), torch.zeros(2))
+    assert float(other.distance(same, reading).min()) > 1
     turned = same.of(torch.tensor([1, 0]))
-    assert torch.equal(answer_distance(turned, turned, reading), torch.zeros(2))
+    assert torch.equal(turned.distance(turned, reading), torch.zeros(2))
     assert torch.equal(turned.boxes[0], same.boxes[1])
 
 
@@ -38,7 +39,7 @@ def test_every_part_of_the_answer_counts(reading: Reading, part: int) -> None:
     wanted = answer(reading, 0)
     changed = list(wanted)
     changed[part] = changed[part] * 0.5
-    assert float(answer_distance(Answer(*changed), wanted, reading).min()) > 0.1
+    assert float(Answer(*changed).distance(wanted, reading).min()) > 0.1
 
 
 @pytest.mark.parametrize("reading", KINDS)
@@ -48,13 +49,13 @@ def test_a_reported_person_is_to_be_surer_where_asked_and_nothing_else(reading: 
     kinds[:, 1, 0] = 8.0 if reading.softmax else -8.0  # nothing there
     kinds.requires_grad_()
     said = Answer(kinds, torch.zeros(2, 2, 1, 4))
-    each = answer_distance(said, Answer(kinds.detach(), said.boxes), reading, SURER)
+    each = said.distance(Answer(kinds.detach(), said.boxes), reading, SURER)
     (gradient,) = torch.autograd.grad(each.sum(), kinds)
     assert float(gradient[0, 0, 1]) < -0.1
     assert float(gradient[0, 1].abs().max()) < 1e-5 and float(gradient[1].abs().max()) < 1e-5
     goal = kinds.detach().clone()
     goal[0, 0, 1] = math.log(9) + (goal[0, 0, [0, 2]].logsumexp(0) if reading.softmax else 0.0)  # probability 0.9
-    met = answer_distance(said._replace(kinds=goal), Answer(kinds.detach(), said.boxes), reading, SURER)
+    met = said._replace(kinds=goal).distance(Answer(kinds.detach(), said.boxes), reading, SURER)
     assert float(met.abs().max()) < 1e-5
 
 
@@ -73,7 +74,7 @@ def maps(head: AnchorBoxes, seed: int) -> torch.Tensor:
 def test_equal_maps_are_no_distance_apart_and_others_are() -> None:
     for head in HEADS:
         same, other = maps(head, 0), maps(head, 1)
-        near, far = (head_distance([head], [raw], [same], 1, 0.5) for raw in (same, other))
+        near, far = (Maps([head], [raw]).distance(Maps([head], [same]), ON_MAPS) for raw in (same, other))
         assert near.shape == (2,)
         assert float(near.abs().max()) < 1e-3
         assert float(far.min()) > 1
@@ -83,7 +84,7 @@ def test_following_the_gradient_leads_to_the_teacher() -> None:
     for head in HEADS[:2]:
         wanted, own = maps(head, 0), maps(head, 1).requires_grad_()
         for _ in range(200):
-            (gradient,) = torch.autograd.grad(head_distance([head], [own], [wanted], 1, 0.5).sum(), own)
+            (gradient,) = torch.autograd.grad(Maps([head], [own]).distance(Maps([head], [wanted]), ON_MAPS).sum(), own)
             own = (own - 0.3 * gradient.clamp(-1, 1)).detach().requires_grad_()
         torch.testing.assert_close(
             head.split(own)[:, :, 4].sigmoid(), head.split(wanted)[:, :, 4].sigmoid(), atol=0.05, rtol=0
@@ -95,7 +96,7 @@ def test_a_person_of_a_map_is_to_be_surer_where_asked_and_nothing_else() -> None
     raw = torch.full((2, 6, 1, 2), -8.0)
     raw[:, 4, 0, 0] = 0.4  # probability 0.6: reported, from 0.5 up; the other place is empty
     raw = raw.requires_grad_()
-    each = head_distance([head], [raw], [raw], 0, 0.5, SURER)
+    each = Maps([head], [raw]).distance(Maps([head], [raw]), Reading(person=0), SURER)
     (gradient,) = torch.autograd.grad(each.sum(), raw)
     assert float(gradient[0, 4, 0, 0]) < -0.1
     assert float(gradient[0, 4, 0, 1].abs()) < 1e-5
