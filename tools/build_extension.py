@@ -26,8 +26,8 @@ SHARED = ("files", "exchange")
 UNPICKLING = ("torch_pickles.py", "unpickling.py", "pickle_machine.py")
 LEFT_OUT = ("caching.py", "likeness.py", *UNPICKLING, "__pycache__")
 """Of those rooms, what the add-on does not use."""
-CHECKOUT = ("train.py",)
-"""Of the add-on, what only a checkout has."""
+CHECKOUT = ("train.py", "cycles_frames.py")
+"""Of the add-on, what only the trainer runs."""
 LICENCE = "# SPDX-License-Identifier: GPL-3.0-or-later\n"
 EARLIEST = time.mktime((1980, 1, 1, 0, 0, 0, 0, 0, -1))
 """The first moment that a zip can hold, on this machine's clock."""

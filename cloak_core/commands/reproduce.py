@@ -96,7 +96,7 @@ class Reproduce(Splitting, Computing, Sharing):
     def _measure(self) -> tuple[dict, dict]:
         """Measure; give records by name, and why others were left out."""
         from cloak_core.experiments.runner import find, run_experiment
-        from cloak_core.studies.cycles import NoBlender
+        from cloak_core.sources.bodies.blender.outside import NoBlender
 
         self.sharing.spread(self._parts(), self.compute)
         self.prepare()
@@ -132,7 +132,7 @@ class Reproduce(Splitting, Computing, Sharing):
     def work(self) -> None:
         """Make the trainings and evaluations of a part of one experiment that are missing; write nothing of it."""
         from cloak_core.experiments.runner import find, measure_part
-        from cloak_core.studies.cycles import NoBlender
+        from cloak_core.sources.bodies.blender.outside import NoBlender
 
         self.prepare()
         with contextlib.suppress(NoBlender):  # whoever gathers the parts says so

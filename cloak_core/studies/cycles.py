@@ -1,6 +1,6 @@
 """The images of an evaluation, rendered by Blender's Cycles instead of our own renderer.
 
-Blender runs in a process of its own (`tools/cycles_frames.py`); what passes between the two is a folder of
+Blender runs in a process of its own (`blender_addon/cycles_frames.py`); what passes between the two is a folder of
 arrays and PNG files. One frame is a body, a camera, a colouring and a light; putting it before backgrounds is done
 here, as for our own images: in display colours, image = body * alpha + background * (1 - alpha).
 """
@@ -27,37 +27,24 @@ from cloak_core.core.images import ImageSet, Indices
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.pictures import read_picture
 from cloak_core.core.visibility.normals import NormalOperator
-from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
-from cloak_core.sources.bodies.blender.outside import ROOT, bpy_version, find_bpy
+from cloak_core.sources.bodies.blender.outside import ROOT, blender_command, blender_version
 from cloak_core.studies.imagery import before_grey, camera_of
 
-SCRIPT = ROOT / "tools" / "cycles_frames.py"
+SCRIPT = ROOT / "blender_addon" / "cycles_frames.py"
 LIGHTS = ("matching", "studio", "sky")
-"""Light set-ups of `tools/cycles_frames.py`: our model's own, and two natural ones."""
+"""Light set-ups of `blender_addon/cycles_frames.py`: our model's own, and two natural ones."""
 SAMPLES = 32
 """Light paths per pixel, without denoising."""
 OnFrame = Callable[[str], None]
 """Told a line for every frame."""
 
 
-class NoBlender(InputError):
-    """Blender's Python package is not there."""
-
-
-def require_blender() -> str:
-    """Find a Python with Blender; NoBlender says in one line how to install one."""
-    if not SCRIPT.exists():
-        raise NoBlender("Cycles: needs a checkout of Cloak, for the installed package has no part that runs in Blender")
-    python = find_bpy()
-    if python is None:
-        raise NoBlender(
-            "Cycles: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11), "
-            "or name a Python that has it in CLOAK_BLENDER"
-        )
-    return python
+def cycles_command() -> list[str]:
+    """Find a command that runs a script in Blender. NoBlender: there is none."""
+    return blender_command("Cycles is a part of Blender")
 
 
 def first_trials(trials: pd.DataFrame) -> dict[tuple[int, float], int]:
@@ -90,7 +77,7 @@ def render_frames(
     The folder OUT/HASH is named by what decides the pixels, so frames are rendered once, and a job that was stopped
     goes on. The first outfit is worn throughout, and "random" has one draw.
     """
-    python = require_blender()
+    command = cycles_command()
     bodies, camera = images.source.bodies, camera_of(images, 0)
     job = {
         "size": camera.height,
@@ -113,21 +100,21 @@ def render_frames(
         "triangles": bodies.triangles,
         "colors": np.stack([_triangle_colors(images, pattern) for pattern in patterns.values()]),
     }
-    content = [sha256_arrays(*mesh.values()), job, source_hash(SCRIPT), bpy_version(python)]
+    content = [sha256_arrays(*mesh.values()), job, source_hash(SCRIPT), blender_version(command)]
     folder = out / sha256_record(content)[:16]
     folder.mkdir(parents=True, exist_ok=True)
     if all((folder / frame["file"]).exists() for frame in job["frames"]):
         return folder
     write_npz(folder / "meshes.npz", **mesh)
     write_json(folder / "job.json", job)
-    _run(python, folder, on_frame)
+    _run(command, folder, on_frame)
     return folder
 
 
-def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
+def _run(command: Sequence[str], folder: Path, on_frame: OnFrame) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
     log = folder / "blender.log"
-    command = [python, str(SCRIPT), str(folder)]
+    command = [*command, str(SCRIPT), "--", str(folder.resolve())]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     with open_to_append(log) as output:
         process = subprocess.Popen(command, env=environment, **pipes)

@@ -15,9 +15,11 @@ from cloak_core.files.errors import InputError
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.sources.bodies.blender import outside
+from cloak_core.sources.bodies.blender.outside import NoBlender
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies import cycles
-from cloak_core.studies.cycles import CyclesImages, NoBlender, image_difference, render_frames, require_blender
+from cloak_core.studies.cycles import CyclesImages, image_difference, render_frames
 from cloak_core.studies.imagery import drawn_images
 
 
@@ -68,12 +70,10 @@ def test_shifted(shift: tuple[int, int]) -> None:
 
 
 def test_without_blender_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cycles, "find_bpy", lambda: None)
-    with pytest.raises(NoBlender, match=r"^Cycles: needs Blender's Python package .*setup_blender"):
-        require_blender()
-    monkeypatch.setattr(cycles, "SCRIPT", Path("none.py"))
-    with pytest.raises(NoBlender, match=r"^Cycles: needs a checkout"):
-        require_blender()
+    monkeypatch.setattr(outside, "blender_version", lambda command: "")
+    monkeypatch.setattr(outside.shutil, "which", lambda name: None)
+    with pytest.raises(NoBlender, match=r"^Cycles is a part of Blender, and there is no Blender: put one on the path"):
+        cycles.cycles_command()
 
 
 @pytest.mark.long

@@ -18,9 +18,9 @@ from cloak_core.studies.cycles import (
     LIGHTS,
     SAMPLES,
     CyclesImages,
+    cycles_command,
     image_difference,
     render_frames,
-    require_blender,
 )
 from cloak_core.studies.report.charts import Rows
 from cloak_core.studies.report.pictures import to_pil
@@ -31,7 +31,7 @@ NAMES = {"ours": "our renders", "matching": "Cycles, matching light", "studio": 
 
 def measure(store: RunStore) -> Numbers:
     """Judge every detector's cloak on our images and on Cycles' of the same bodies and cameras."""
-    require_blender()  # said before anything is trained
+    cycles_command()  # said before anything is trained
     quick = store.options.quick
     unseen = store.split.unseen
     angles = (-8.0, 4.0) if quick else tuple(float(a) for a in range(-10, 11, 5))

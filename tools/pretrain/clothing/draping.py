@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from cloak_core.core.cameras import Number
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
-from cloak_core.sources.bodies.blender.outside import find_blender
+from cloak_core.sources.bodies.blender.outside import blender_command
 from cloak_core.sources.bodies.people.skeleton import Arm, Leg, Pose, Skeleton, bone_transforms
 from tools.pretrain.clothing.gaits import CYCLES
 from tools.pretrain.clothing.garments import Garment, neighbours, normals, tailored
@@ -137,7 +137,9 @@ def solve(
         environment["BLENDER_USER_RESOURCES"] = folder
         source, out = Path(folder) / "in.npz", Path(folder) / "out.npz"
         write_npz(source, **told)
-        subprocess.run([*find_blender(), str(SCRIPT), "--", str(source), str(out)], env=environment, check=True)
+        subprocess.run(
+            [*blender_command("draping"), str(SCRIPT), "--", str(source), str(out)], env=environment, check=True
+        )
         return read_npz(out)["cloth"].astype(np.float64)
 
 

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,33 +26,38 @@ VERSION = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0
 IN_BACKGROUND = ("-b", "--factory-startup", "-P")
 
 
-def find_blender() -> list[str] | None:
-    """Find a command that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
+class NoBlender(InputError):
+    """There is no Blender on this machine."""
+
+
+def blender_command(work: str) -> list[str]:
+    """Find a command that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path.
+
+    work: what it is for, the beginning of the message. NoBlender: there is none.
+    """
     named = os.environ.get("CLOAK_BLENDER")
     if named and Path(named).name.startswith("blender"):
         return [named, *IN_BACKGROUND]
-    python = find_bpy()
-    if python:
-        return [python]
-    blender = shutil.which("blender")
-    return [blender, *IN_BACKGROUND] if blender else None
-
-
-def find_bpy() -> str | None:
-    """Find a Python that has the bpy package, first the one that $CLOAK_BLENDER names; None where there is none."""
-    named = os.environ.get("CLOAK_BLENDER")
-    places = [named] if named and not Path(named).name.startswith("blender") else []
+    places = [named] if named else []
     places += [sys.executable] if importlib.util.find_spec("bpy") else []
     places += [str(place) for place in sorted(ROOT.glob(".venv-blender*/bin/python"))]
-    return next(filter(bpy_version, places), None)
+    if python := next((place for place in places if blender_version([place])), None):
+        return [python]
+    if blender := shutil.which("blender"):
+        return [blender, *IN_BACKGROUND]
+    raise NoBlender(
+        f"{work}, and there is no Blender: put one on the path, name it in CLOAK_BLENDER, or pip install bpy"
+    )
 
 
-def bpy_version(python: str) -> str | None:
-    """Read Blender's version in a Python that has bpy, such as "4.2.0"; None where it has none."""
+def blender_version(command: Sequence[str]) -> str:
+    """Ask a Blender, or a Python with bpy, for its version, such as "4.2.0"; "" where it does not answer."""
+    is_blender = "-P" in command
+    words = [command[0], *(["-b", "--factory-startup", "--python-expr"] if is_blender else ["-c"]), VERSION]
     try:
-        done = subprocess.run([python, "-c", VERSION], capture_output=True, text=True, timeout=60, check=True)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
     except (OSError, subprocess.SubprocessError):
-        return None
+        return ""
     return done.stdout.strip().splitlines()[-1]
 
 
@@ -65,12 +71,7 @@ def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
     Raises `InputError` where there is no Blender, where it cannot read the file, and for the frame whose topology
     differs from the first one's.
     """
-    command = find_blender()
-    if command is None:
-        raise InputError(
-            f"{path}: {path.suffix} files are read through Blender, and there is none: put one on the path, name it in "
-            "CLOAK_BLENDER, or pip install bpy"
-        )
+    command = blender_command(f"{path}: {path.suffix} files are read through Blender")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "mesh.npz"

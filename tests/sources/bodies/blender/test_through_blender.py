@@ -66,8 +66,7 @@ os._exit(0)
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ball that rises 0.5 m within frames 1 to 11, and a cube before and beside it."""
-    command = through_blender.find_blender()
-    assert command, "no Blender: run tools/setup_blender.sh"
+    command = through_blender.blender_command("tests")
     out = tmp_path_factory.mktemp("made")
     (out / "make.py").write_text(MAKE)
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
@@ -119,6 +118,7 @@ def test_what_cannot_be_read(files: Path, monkeypatch: pytest.MonkeyPatch) -> No
         (files / name).write_bytes(b"nothing of the kind")
         with pytest.raises(InputError, match=f"{name}: ."):
             import_bodies([files / name])
-    monkeypatch.setattr(through_blender, "find_blender", lambda: None)
-    with pytest.raises(InputError, match=r"a\.abc: \.abc files are read through Blender, and there is none"):
+    monkeypatch.setattr(through_blender, "blender_version", lambda command: "")
+    monkeypatch.setattr(through_blender.shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match=r"a\.abc: \.abc files are read through Blender, and there is no Blender"):
         import_bodies([files / "a.abc"])

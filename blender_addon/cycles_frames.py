@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render many bodies, cameras and lights in Cycles, for the experiment `render-gap`, in a process of its own.
+"""Render many bodies, cameras and lights in Cycles, for `cloak evaluate --cycles`, in a process of its own.
 
-    python tools/cycles_frames.py FOLDER      (a Python with the bpy package)
+    blender -b --factory-startup -P blender_addon/cycles_frames.py -- FOLDER
+    python blender_addon/cycles_frames.py -- FOLDER      (a Python with the bpy package)
 
 FOLDER holds `meshes.npz` (vertices and normals [P, V, 3], y up; triangles [T, 3]; colors [K, T, 3], sRGB) and
 `job.json` (size, samples, near and far planes, and frames: pose, colors, light, camera, file). Every frame becomes an
@@ -22,7 +23,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # last: numpy there may be of another Python
 from blender_addon.blender.colors import nodes_of, srgb_to_linear
 from blender_addon.body.objects import blender_axes
 from blender_addon.result.render_check import set_up
@@ -210,6 +211,6 @@ def render_frames(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    render_frames(Path(sys.argv[1]))
+    render_frames(Path(sys.argv[-1]))
     sys.stdout.flush()
     os._exit(0)  # the bpy package may wait for ever at a regular exit
