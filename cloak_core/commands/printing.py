@@ -60,11 +60,11 @@ class Print(AboutRun):
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['out']}")
-        for words in told(result):
+        for words in report_sentences(result):
             out.print(words)
 
 
-def told(report: dict) -> list[str]:
+def report_sentences(report: dict) -> list[str]:
     """Describe a print's report in sentences, with what to do about what will not come out."""
     width, height = (100 * extent for extent in report["sheet_m"])
     words = [

@@ -184,13 +184,13 @@ class Loop:
 
     # --- the loop
 
-    def run(self, stop: StopRequest, **told: object) -> str:
+    def run(self, stop: StopRequest, **fields: object) -> str:
         """Step until done or told to stop, with a checkpoint either way; returns why it ended early, "" where not.
 
-        told: more of the first event.
+        fields: more of the first event.
         """
         reason = ""
-        self.tell("resume" if self.step else "start", steps=self.steps, **told)
+        self.tell("resume" if self.step else "start", steps=self.steps, **fields)
         try:
             while not self.is_done() and not reason:
                 self.one_step()

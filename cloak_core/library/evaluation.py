@@ -92,7 +92,7 @@ def evaluate(
         return study.evaluate(what, judges, how, out=out, on_progress=on_progress)
 
     worn = pattern if profile is None else printed(pattern, read_profile(profile))
-    summary = judge(worn, settings, trained, target) | judged.told(target)
+    summary = judge(worn, settings, trained, target) | judged.record(target)
     if over_time:
         summary["over_time"] = study.over_time(
             folder,

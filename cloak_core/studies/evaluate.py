@@ -68,7 +68,7 @@ class OnBodies:
     curve: ClassVar[str] = "curve"
     """Name of the files inside a run that hold success over time."""
 
-    def told(self, out: Path) -> dict:
+    def record(self, out: Path) -> dict:
         """Say what the result of a call holds beside the summary in `out`."""
         return {}
 
@@ -131,7 +131,7 @@ class OnPeople:
     folder: ClassVar[str] = PEOPLE_FOLDER
     curve: ClassVar[str] = "curve-people"
 
-    def told(self, out: Path) -> dict:
+    def record(self, out: Path) -> dict:
         """See `OnBodies`."""
         return {"out": str(out)}
 
