@@ -31,7 +31,7 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.cycles import in_cycles
 from cloak_core.studies.film import write_turntable
 from cloak_core.studies.imagery import drawn_images, flat_views
-from cloak_core.studies.report.pictures import write_flat, write_pictures
+from cloak_core.studies.report.pictures import Drawing, write_flat, write_pictures
 from cloak_core.studies.report.plots import success_over_time
 from cloak_core.studies.report.stored import FOLDER, PEOPLE_FOLDER, check_folder, read_evaluation
 from cloak_core.studies.report.style import save_figure, style
@@ -227,7 +227,7 @@ def write_evaluation(
         (temporary / "pictures").mkdir()
         threshold = summary["settings"]["threshold"]
         place = temporary / "pictures"
-        pictures = write_pictures(place, shown.images, shown.patterns, results, detectors)
+        pictures = write_pictures(Drawing(place, shown.images, shown.patterns, detectors), results)
         pictures |= shown.draw_more(place, pictures["controls"]["trial"], detectors, threshold)
         write_json(temporary / "pictures.json", pictures)
         results.save(temporary / "scores.npz")

@@ -13,7 +13,7 @@ import torch
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
 from cloak_core.studies.report import plots
-from cloak_core.studies.report.page import page_style
+from cloak_core.studies.report.style import style
 from cloak_core.studies.report.pictures import (
     ANGLES,
     BODIES,
@@ -141,7 +141,7 @@ def test_pictures_stay_in_their_folder(tmp_path: Path) -> None:
 def test_a_curve_of_many_points_is_drawn_by_its_extremes_and_its_running_mean() -> None:
     value = np.zeros(100_000)
     value[54_321] = 9.0
-    with page_style():
+    with style():
         figure = plots.training_curves(
             History(losses={"loss": list(zip(np.arange(1e5).tolist(), value.tolist(), strict=True))})
         )

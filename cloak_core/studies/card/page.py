@@ -26,7 +26,7 @@ from cloak_core.studies.card.protocol import VERSION, Part, part_of_area
 from cloak_core.studies.card.words import name_of, others_strongest, shown, strongest
 from cloak_core.studies.imagery import flat_views
 from cloak_core.studies.report import page
-from cloak_core.studies.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
+from cloak_core.studies.report.pictures import Drawing, describe, first_by, write_flat, write_shot
 from cloak_core.studies.report.words import interval, markdown, percent
 from cloak_core.studies.store import RunStore
 
@@ -55,20 +55,22 @@ def write_card(folder: Path) -> Path:
     FOLDER holds card.json and, where there are pictures, pictures.json.
     """
     card = read_card(folder / "card.json")
-    pictures = read_json(folder / "pictures.json") if (folder / "pictures.json").exists() else {}
+    pictures = {"missed": [], "alarms": [], "hidden": {}, "cloaks": []}
+    if (folder / "pictures.json").exists():
+        pictures |= read_json(folder / "pictures.json")
     write_text(folder / "card.md", "\n".join(markdown_rows([card])) + "\n")
     write_text(folder / "model_card.md", model_card(card))
-    pictured = _pictures(card, pictures, folder / "pictures")
     rows = (card.get("photographs") or {}).get("rows", {})
     values = {
         "card": card,
         "words": words,
         "columns": attack_columns(card),
-        "picture": next((pairs[0] for pairs in pictured["hidden"].values()), None),
         "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
         "figures": page.figures(plots.card_figures, card),
-        "pictures": pictured,
-        "size": card["counts"]["pixels"],
+        "pictures": pictures,
+        "hidden": {part: pictures["hidden"][part] for part in _parts_with_pairs(card, pictures["hidden"])},
+        "folder": folder / "pictures",
+        "place_of": place_of,
         "text": json.dumps({key: card[key] for key in ("counts", "materials", "made")}, indent=2),
     }
     return page.write_page(folder / CARD, "card.html", values)
@@ -112,31 +114,6 @@ def model_card(card: dict) -> str:
     paragraphs = [markdown(write(card)) for write in (words.headline, words.lede, words.advice)]
     untested = "\n".join(f"- {markdown(line)}" for line in words.not_tested(card))
     return "\n\n".join([head, f"# {markdown(name)}", table, *paragraphs, "Not tested:", untested]) + "\n"
-
-
-def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
-    """Prepare for the template what pictures.json tells, with the pictures as data."""
-
-    def shot(part: str, shown: dict) -> dict:
-        return page.shot(folder / place_of(part), [card["spec"]], shown)
-
-    def flat(shown: dict) -> dict:
-        sides = [side for side in SIDES if side in shown]
-        return {side: page.data_uri(folder / place_of(shown["part"]) / Path(shown[side]).name) for side in sides}
-
-    hidden = pictures.get("hidden", {})
-    return {
-        "hidden": {
-            part: [
-                shown | {"own": shot(part, shown["clothing"]), "worn": shot(part, shown["logo"])}
-                for shown in hidden[part]
-            ]
-            for part in _parts_with_pairs(card, hidden)
-        },
-        "missed": [shown | {"shot": shot("clean", shown["clothing"])} for shown in pictures.get("missed", [])],
-        "alarms": [shown | {"shot": shot("clean", shown["bare"])} for shown in pictures.get("alarms", [])],
-        "cloaks": [shown | flat(shown) for shown in pictures.get("cloaks", [])],
-    }
 
 
 def _parts_with_pairs(card: dict, hidden: Mapping[str, Sequence]) -> list[str]:
@@ -227,21 +204,20 @@ def keep_pictures(folder: Path, store: RunStore, seen: Sequence[tuple[Part, Patt
     trials = {part.name: _hidden_trials(results.rows(spec, LOGO), own) for part, _, results in seen}
     paired = _parts_with_pairs(card, trials)
     for part, pattern, results in seen:
-        images, patterns = store.shown(pattern, part.angles, store.evaluate_settings(**part.settings))
         place = folder / place_of(part.name)
         place.mkdir()
+        images, patterns = store.shown(pattern, part.angles, store.evaluate_settings(**part.settings))
+        drawing = Drawing(place, images, patterns, detectors)
         if part.name == "clean":
             rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
             for trial in first_by(rows[undetected(rows, own)], SHOWN, ascending=True)["image"].tolist():
-                shots = draw_trial(place, images, {CLOTHING: patterns[CLOTHING]}, trial, detectors)
-                pictures["missed"].append(describe(images, trial) | shots)
+                pictures["missed"].append(describe(images, trial) | drawing.shots(trial, (CLOTHING,)))
             for index in first_by(bare[~undetected(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
                 shot = write_shot(place / f"bare-{index:05d}.jpg", images.bare([index]), detectors)
                 pictures["alarms"].append({"background": images.background_names[index], "bare": shot})
             continue
         if part.name in paired:
-            pairs = [draw_pair(place, images, patterns, trial, detectors) for trial in trials[part.name]]
-            pictures["hidden"][part.name] = pairs
+            pictures["hidden"][part.name] = [drawing.pair(trial) for trial in trials[part.name]]
         flat = flat_views(store.split.unseen, pattern, FLAT)
         sides = {side: write_flat(place, side, rgba) for side, rgba in flat.items() if side in SIDES}
         pictures["cloaks"].append({"part": part.name} | sides)

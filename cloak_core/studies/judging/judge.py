@@ -228,12 +228,10 @@ def write_report(path: Path, name: str, summary: dict, rows: pd.DataFrame, pictu
     subjects = next(iter(by_detector.values()))
     scores = [(short_name(spec), group["score"].to_numpy()) for spec, group in by_detector.items()]
     shot = lambda i: _shot(subjects.loc[i], pictures, [(name, float(score[i])) for name, score in scores])
-    with page.page_style():
-        detectors = [_detector(summary, spec, group, shot) for spec, group in by_detector.items()]
     values = {
         "name": name,
         "summary": summary,
-        "detectors": detectors,
+        "detectors": [_detector(summary, spec, group, shot) for spec, group in by_detector.items()],
         "pairs": [[shot(i) for i in pair] for pair in shown_pairs(subjects)],
         "settings": [(key.replace("_", " "), f"{value:g}") for key, value in summary["settings"].items()],
     }
@@ -261,7 +259,6 @@ def _detector(summary: dict, spec: str, rows: pd.DataFrame, shot: object) -> dic
         candidates = rows[(rows["garment"] == garment).to_numpy() & (gone == missed)]
         return [shot(i) for i in candidates.sort_values("score", ascending=missed, kind="stable").index[:WORST]]
 
-    by_distance = figures.get("by_distance", {})
     return {
         "spec": spec,
         "name": short_name(spec),
@@ -270,7 +267,7 @@ def _detector(summary: dict, spec: str, rows: pd.DataFrame, shot: object) -> dic
         "rows": table,
         "told": figures,
         "groups": {title: list(figures[key].items()) for key, title in GROUPS.items() if len(figures.get(key, {})) > 1},
-        "figure": page.svg(plots.found_by_distance(by_distance, LABELS)) if len(by_distance) > 1 else None,
+        "figures": page.figures(plots.found_by_distance, figures.get("by_distance", {}), LABELS),
         "found": worst(WITH, missed=False),
         "missed": worst(WITHOUT, missed=True),
         "alarms": worst(NOBODY, missed=False),

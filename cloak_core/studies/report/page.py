@@ -44,31 +44,25 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    formats = (words.percent, words.interval, words.degrees, words.short_name, words.duration)
-    formats += (words.instead, words.most_named, words.plain)
-    environment.filters |= {write.__name__: write for write in formats}
+    filters = (words.percent, words.interval, words.degrees, words.short_name, words.duration, words.instead)
+    filters += (words.most_named, words.plain, inside, boxed)
+    environment.filters |= {write.__name__: write for write in filters}
     environment.filters["record"] = lambda value: value if isinstance(value, dict) else {}
     environment.filters["control_label"] = lambda name: SERIES[name].label if name in SERIES else name
     return environment
 
 
-def page_style() -> object:
-    """Open the plots' style for a page, in which text stays text."""
-    return style(**{"svg.fonttype": "none"})
-
-
-def figures(draw: Callable[..., Mapping[str, Figure]], *shown: object) -> dict[str, Markup]:
-    """Draw figures for a page, as markup by name."""
-    with page_style():
-        return {name: svg(figure) for name, figure in draw(*shown).items()}
-
-
-def svg(figure: Figure) -> Markup:
-    """Convert a figure to an <svg> element: text stays text in the page's font, colours follow the page's theme.
+def figures(draw: Callable[..., Mapping[str, Figure | None]], *shown: object) -> dict[str, Markup]:
+    """Draw figures for a page: <svg> elements by name, whose text stays text in the page's font.
 
     Every colour of the style becomes a CSS variable (--ink, --faint, --c0 ...), so the page decides light and dark.
     Matplotlib escapes the text that it draws.
     """
+    with style(**{"svg.fonttype": "none"}):
+        return {name: _svg(figure) for name, figure in draw(*shown).items() if figure is not None}
+
+
+def _svg(figure: Figure) -> Markup:
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
@@ -80,6 +74,9 @@ def svg(figure: Figure) -> Markup:
     for color, variable in CSS_COLORS.items():
         text = text.replace(color, f"var({variable})")
     return Markup(text)
+
+
+# --- pictures, inside the page
 
 
 def data_uri(path: Path) -> str:
@@ -100,14 +97,15 @@ def _encoded(data: bytes, kind: str) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def shot(folder: Path, specs: Sequence[str], picture: Mapping) -> dict:
-    """Prepare a picture that `pictures.write_shot` wrote for the template's macro `shot`.
+def inside(name: str, folder: Path) -> str:
+    """Read a picture of a folder as a data: address; no name leads out of it. InputError: see `data_uri`."""
+    return data_uri(folder / Path(name).name)
 
-    Returns its data, its boxes, and (detector's number, found, best score) of every detector.
-    """
+
+def boxed(picture: Mapping, folder: Path, specs: Sequence[str]) -> dict:
+    """Prepare a picture that `pictures.draw_trial` wrote into a folder, with these detectors' boxes, for `framed`."""
     boxes = [box(d, b[:4], b[4]) for d, spec in enumerate(specs) for b in picture["boxes"].get(spec, [])]
-    verdicts = [(d, bool(picture["boxes"].get(spec)), picture["scores"].get(spec, 0)) for d, spec in enumerate(specs)]
-    return {"image": data_uri(folder / Path(picture["file"]).name), "boxes": boxes, "found": verdicts}
+    return {"image": inside(picture["file"], folder), "boxes": boxes}
 
 
 def box(detector: int, corners: Sequence[float], score: float) -> dict:

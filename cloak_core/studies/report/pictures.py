@@ -5,7 +5,8 @@ Rules decide which images are shown, before anyone has seen a score, or by the s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,38 +38,57 @@ SOFT, PAPER = "#59636e", "#ffffff"
 """Colours of what stands beside names, and of the ground."""
 
 
-@torch.no_grad()
-def write_pictures(
-    folder: Path,
-    images: ImageSet,
-    patterns: Mapping[str, Pattern],
-    results: Results,
-    detectors: Mapping[str, Detector],
-) -> dict:
-    """Write an evaluation's pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """Images of an evaluation to be drawn into a folder, and the detectors that look at the pictures."""
+
+    folder: Path
+    images: ImageSet
+    patterns: Mapping[str, Pattern]
+    detectors: Mapping[str, Detector]
+
+    def pair(self, trial: int) -> dict:
+        """Write one trial in own clothing and cloaked; return what the pictures show and what is found in them."""
+        return describe(self.images, trial) | self.shots(trial, (CLOTHING, LOGO))
+
+    @torch.no_grad()
+    def shots(self, trial: int, names: Iterable[str]) -> dict[str, dict]:
+        """Write one trial in these patterns; return by pattern what `write_shot` does, of the trial's person alone."""
+        patterns = {name: self.patterns[name] for name in names}
+        views = self.images.views([trial], next(iter(patterns.values())))
+        judged = lambda answer: self.images.judged(answer, views, [trial])[0]
+        return {
+            name: write_shot(self.folder / f"{trial:05d}-{name}.jpg", image, self.detectors, judged)
+            for name, image in zip(patterns, self.images.compose([trial], list(patterns.values())), strict=True)
+        }
+
+
+def write_pictures(drawing: Drawing, results: Results) -> dict:
+    """Write an evaluation's pictures (JPEG) and return what they show, ready for JSON.
 
     `thresholds`: each detector's own, by which all of these go; `gallery`: the images of `gallery_trials`, in own
     clothing and cloaked; `failures`: per detector, the cloaked images with the highest scores above it; `worst`: per
     detector, of the bodies that the cloak hides least often the image with the highest score, and its success;
     `controls`: one image in every pattern.
     """
-    pair = lambda trial: draw_pair(folder, images, patterns, trial, detectors)
+    images, pair = drawing.images, drawing.pair
     trials = complete(images.trials)
     shown = gallery_trials(trials)
     middle = shown[len(shown) // (2 * trials.loc[shown, "pose"].nunique())]
-    detections = {
-        "thresholds": {spec: float(detector.operating_point) for spec, detector in detectors.items()},
-        "gallery": [pair(trial) for trial in shown],
-        "failures": {},
-        "worst": {},
-        "controls": describe(images, middle) | {"images": draw_trial(folder, images, patterns, middle, detectors)},
-    }
-    for spec, threshold in detections["thresholds"].items():
+    thresholds = {spec: float(detector.operating_point) for spec, detector in drawing.detectors.items()}
+    failures, worst = {}, {}
+    for spec, threshold in thresholds.items():
         rows = results.rows(spec, LOGO)
-        failures = first_by(rows[~undetected(rows, threshold)], FAILURES)["image"].tolist()
-        detections["failures"][spec] = [pair(trial) for trial in failures]
-        detections["worst"][spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
-    return detections
+        surest = first_by(rows[~undetected(rows, threshold)], FAILURES)["image"].tolist()
+        failures[spec] = [pair(trial) for trial in surest]
+        worst[spec] = [pair(trial) | {"success": rate} for trial, rate in worst_trials(rows, threshold)]
+    return {
+        "thresholds": thresholds,
+        "gallery": [pair(trial) for trial in shown],
+        "failures": failures,
+        "worst": worst,
+        "controls": describe(images, middle) | {"images": drawing.shots(middle, drawing.patterns)},
+    }
 
 
 def gallery_trials(trials: pd.DataFrame) -> list[int]:
@@ -122,61 +142,32 @@ def describe(images: ImageSet | Results, trial: int) -> dict:
     }
 
 
-def draw_pair(
-    folder: Path,
-    images: ImageSet,
-    patterns: Mapping[str, Pattern],
-    trial: int,
+def write_shot(
+    path: Path,
+    image: Float[Tensor, "1 3 H W"],
     detectors: Mapping[str, Detector],
+    judged: Callable[[Detections], Detections] = lambda answer: answer,
 ) -> dict:
-    """Write one trial in own clothing and cloaked; return what the pictures show and what is found in them."""
-    pair = {name: patterns[name] for name in (CLOTHING, LOGO)}
-    return describe(images, trial) | draw_trial(folder, images, pair, trial, detectors)
-
-
-@torch.no_grad()
-def draw_trial(
-    folder: Path,
-    images: ImageSet,
-    patterns: Mapping[str, Pattern],
-    trial: int,
-    detectors: Mapping[str, Detector],
-) -> dict[str, dict]:
-    """Write one trial in these patterns; return by pattern the file and what each detector, at its own threshold,
-    reports of its person."""
-    views = images.views([trial], next(iter(patterns.values())))
-    shots = {}
-    for (name, _), image in zip(patterns.items(), images.compose([trial], list(patterns.values())), strict=True):
-        about = {spec: images.judged(detector(image), views, [trial])[0] for spec, detector in detectors.items()}
-        file = f"{trial:05d}-{name}.jpg"
-        save_picture(folder / file, to_pil(image[0]), **SAVING)
-        shots[name] = {"file": file} | _described(about, detectors)
-    return shots
-
-
-def write_shot(path: Path, image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector]) -> dict:
-    """Write one image as JPEG; return its file, and each detector's boxes above its own threshold and best score."""
+    """Write one image as JPEG; return its `file` and what is `reported` in it, above each detector's own threshold."""
     save_picture(path, to_pil(image[0]), **SAVING)
-    return {"file": path.name} | reported(image, detectors)
+    return {"file": path.name} | reported(image, detectors, judged=judged)
 
 
 @torch.no_grad()
 def reported(
-    image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float | None = None
+    image: Float[Tensor, "1 3 H W"],
+    detectors: Mapping[str, Detector],
+    threshold: float | None = None,
+    judged: Callable[[Detections], Detections] = lambda answer: answer,
 ) -> dict:
     """Tell each detector's `boxes` above the threshold (x1, y1, x2, y2, score, best first) and its best `scores`.
 
-    threshold: None for each detector's own.
+    threshold: None for each detector's own. judged: takes what counts of an answer.
     """
-    return _described({spec: detector(image) for spec, detector in detectors.items()}, detectors, threshold)
-
-
-def _described(
-    detections: Mapping[str, Detections], detectors: Mapping[str, Detector], threshold: float | None = None
-) -> dict:
     boxes, scores = {}, {}
-    for spec, answer in detections.items():
-        above = float(detectors[spec].operating_point) if threshold is None else threshold
+    for spec, detector in detectors.items():
+        answer = judged(detector(image))
+        above = float(detector.operating_point) if threshold is None else threshold
         scores[spec] = round(float(max_person_score(answer)[0]), 4)
         boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(answer, above)[0].tolist()]
     return {"boxes": boxes, "scores": scores}

@@ -89,8 +89,8 @@ def success_over_time(rows: Sequence[Mapping]) -> Figure | None:
     return Lines(x=along, series="detector").draw(points)
 
 
-def found_by_distance(groups: Mapping[str, Mapping], labels: Mapping[str, str]) -> Figure | None:
-    """Plot the share of people found over the distance (keys, metres), with and without the cloak.
+def found_by_distance(groups: Mapping[str, Mapping], labels: Mapping[str, str]) -> dict[str, Figure | None]:
+    """Plot the share of people found over several distances (keys, metres), with and without the cloak, by title.
 
     groups: by distance and by side ("with", "without"), a record with `detected`; labels: the sides' names.
     """
@@ -100,16 +100,18 @@ def found_by_distance(groups: Mapping[str, Mapping], labels: Mapping[str, str]) 
         for key, figures in groups.items()
         if figures[side]["detected"] is not None
     ]
-    return Lines(x="distance", series="picture", rate="found").draw(rows)
+    return {"By distance": Lines(x="distance", series="picture", rate="found").draw(rows)} if len(groups) > 1 else {}
 
 
 # --- training, and matrices
 
 
-def training_curves(history: History) -> Figure:
-    """Plot losses over the steps, and the success that training saw on its own images."""
+def training_curves(history: History) -> Figure | None:
+    """Plot losses over the steps, and the success that training saw on its own images; None without either."""
     shown = {"Loss": history.losses, "Success on training images": {"success": history.success}}
     shown = {title: curves for title, curves in shown.items() if any(curves.values())}
+    if not shown:
+        return None
     figure, axes = new_figure(width=2 * WIDTH, columns=len(shown), height=2.8)
     for axis, (title, curves) in zip(axes, shown.items(), strict=True):
         for k, (name, points) in enumerate(curves.items()):
