@@ -143,6 +143,41 @@ def kept_back(run: Path) -> bool:
         return False
 
 
+# --- single pictures: the rows of Detector's Eye, Render Check and Try It --------------------------------------------
+
+KINDS = {"clothing": ("Own clothing", (0.84, 0.37, 0.0)), "cloak": ("Cloak", (0.0, 0.55, 0.85))}
+"""What is worn in a picture: its name, and the sRGB colour of its boxes."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one detector makes of one picture."""
+
+    spec: str
+    kind: str  # of `KINDS`
+    picture: Path
+    score: float  # of the surest person, reported or not
+    threshold: float  # the detector reports a person above this score: its own operating point
+    boxes: tuple[tuple[float, ...], ...] = ()
+    """x1, y1, x2, y2, score; pixels of the picture from its upper left; best first."""
+
+    @property
+    def found(self) -> bool:
+        return self.score > self.threshold
+
+    def describe(self) -> str:
+        """found, 0.97."""
+        return f"{'found' if self.found else 'hidden'}, {self.score:.2f}"
+
+
+def by_detector(sights: Iterable[Sight]) -> dict[str, list[Sight]]:
+    """The rows of each detector."""
+    rows: dict[str, list[Sight]] = {}
+    for sight in sights:
+        rows.setdefault(sight.spec, []).append(sight)
+    return rows
+
+
 # --- why nothing can be shown or judged, and what is judged ----------------------------------------------------------
 
 

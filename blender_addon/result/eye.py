@@ -33,40 +33,19 @@ from ..training.detectors import judges
 from ..training.runs import is_cloth, run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
 from ..ui.window import Hooks, areas, between_strokes, main_region, redraw
-from .evaluations import export_worn, worn_reason
+from .evaluations import KINDS, Sight, by_detector, export_worn, worn_reason
 from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
 LOG = logging.getLogger(__name__)
 LONGEST = 640  # pixels along the longer side of the pictures that the detector gets
 TICK_SECONDS = 0.2
-KINDS = {"clothing": ("Own clothing", (0.84, 0.37, 0.0)), "cloak": ("Cloak", (0.0, 0.55, 0.85))}
-"""What is looked at: its name, and the sRGB colour of its boxes."""
-
-
-@dataclass(frozen=True)
-class Glance:
-    """What one detector saw of one kind of clothing."""
-
-    score: float  # of the surest person, thresholded or not
-    boxes: tuple[tuple[float, ...], ...]
-    """x1, y1, x2, y2, score; pixels of the picture from its upper left; best first."""
-    operating_point: float
-
-    @property
-    def found(self) -> bool:
-        return self.score > self.operating_point
-
-    def describe(self) -> str:
-        """found, 0.97."""
-        return f"{'found' if self.found else 'hidden'}, {self.score:.2f}"
 
 
 @dataclass(frozen=True)
 class Seen:
-    """An answer: by detector and kind of clothing; and the pictures that were looked at, from where."""
+    """An answer: its rows, the size of the pictures, and where they were looked at from."""
 
-    glances: dict[str, dict[str, Glance]]
-    pictures: dict[str, Path]
+    sights: tuple[Sight, ...]
     width: int
     height: int
     viewpoint: Viewpoint | None = None
@@ -78,14 +57,13 @@ def read_answer(path: Path, viewpoint: Viewpoint | None = None) -> Seen:
     if "error" in record:
         raise InputError(str(record["error"]))
     try:
-        glances = {spec: {} for spec in record["detectors"]}
+        sights = []
         for spec, answer in record["detectors"].items():
             for kind in (kind for kind in KINDS if kind in answer):
                 boxes = tuple(tuple(map(float, box)) for box in answer[kind]["boxes"])
-                score = float(answer[kind]["max_person"])
-                glances[spec][kind] = Glance(score, boxes, float(answer["operating_point"]))
-        pictures = {kind: Path(picture) for kind, picture in record["pictures"].items()}
-        return Seen(glances, pictures, int(record["width"]), int(record["height"]), viewpoint)
+                score, point = float(answer[kind]["max_person"]), float(answer["operating_point"])
+                sights.append(Sight(spec, kind, Path(record["pictures"].get(kind, "")), score, point, boxes))
+        return Seen(tuple(sights), int(record["width"]), int(record["height"]), viewpoint)
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{path}: not the answer to a look") from None
 
@@ -296,23 +274,22 @@ def lines(watching: Eye, fits: bool) -> list[tuple[str, tuple[float, float, floa
     if watching.message:
         return [("Detector's eye", WHITE), (watching.message, KINDS["clothing"][1])]
     rows = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
-    for spec, glances in watching.seen.glances.items() if watching.seen is not None and fits else ():
-        point = next(iter(glances.values())).operating_point
-        rows.append((f"{short(spec)} reports from {point:g}", WHITE))
-        rows += [(f"    {KINDS[kind][0]}: {glance.describe()}", KINDS[kind][1]) for kind, glance in glances.items()]
+    for spec, sights in by_detector(watching.seen.sights).items() if watching.seen is not None and fits else ():
+        rows.append((f"{short(spec)} reports from {sights[0].threshold:g}", WHITE))
+        rows += [(f"    {KINDS[one.kind][0]}: {one.describe()}", KINDS[one.kind][1]) for one in sights]
     return rows
 
 
 def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:
     """Draw the reported boxes, those of the cloak with thicker lines."""
-    for kind, glance in [pair for glances in seen.glances.values() for pair in glances.items()]:
-        name, color = KINDS[kind]
-        thickness = (3 if kind == "cloak" else 2) * scale
-        for box in (box for box in glance.boxes if box[4] > glance.operating_point):
+    for sight in seen.sights:
+        name, color = KINDS[sight.kind]
+        thickness = (3 if sight.kind == "cloak" else 2) * scale
+        for box in (box for box in sight.boxes if box[4] > sight.threshold):
             x1, y1, x2, y2 = box_in(place, box, seen)
             frame(x1, y1, x2, y2, color, thickness)
             words = f"{name} {box[4]:.2f}"
-            top = y2 if kind == "cloak" else y1 - 18 * scale  # so that two boxes' words do not meet
+            top = y2 if sight.kind == "cloak" else y1 - 18 * scale  # so that two boxes' words do not meet
             fill(x1, top, width_of(words) + 8 * scale, 18 * scale, color, 0.85)
             write(words, x1 + 4 * scale, top + 5 * scale)
 

@@ -31,6 +31,7 @@ from . import eye, render_check
 from .evaluations import (
     ANSWER,
     WEAR,
+    by_detector,
     export_worn,
     judged_reason,
     kept_back,
@@ -38,7 +39,6 @@ from .evaluations import (
     read_evaluation,
     result_reason,
 )
-from .render_check import last_verdicts
 
 
 class CLOAK_OT_render_check(CloakOperator, label="Render Check", trains=True):
@@ -66,10 +66,10 @@ class CLOAK_OT_render_check(CloakOperator, label="Render Check", trains=True):
         def ended(job: Job) -> str | None:
             if job.state != "done":
                 return None
-            outcome = render_check.verdicts(plan, specs, job.outputs[1:])
-            job.is_bad_news = not all(verdict.holds for verdict in outcome)
+            sights = render_check.verdict(plan, specs, job.outputs[1:])
+            job.is_bad_news = not all(map(render_check.holds, by_detector(sights).values()))
             run_list.refresh(bpy.context)
-            return render_check.describe_all(outcome)
+            return render_check.describe_all(sights)
 
         job = launch(Job("Render check", commands, folder, "check", ended))
         return f"Rendering {len(images)} images into {folder}" + waits(job)
@@ -242,10 +242,10 @@ def _check() -> None:
 
 def _compare() -> None:
     """Show the first render without the cloak, and beside it the one with it; its name has the scores."""
-    verdict = last_verdicts(side_folder(run_of(active_body(bpy.context))))[0]
-    shown = (len(verdict.images) // 2, 0)
-    title = PICTURE.format(*(verdict.scores[number] for number in shown), verdict.threshold)
-    image = new_image(title, np.concatenate([read_picture(verdict.images[n])[..., :3] for n in shown], axis=1))
+    sights = render_check.last_check(side_folder(run_of(active_body(bpy.context))))
+    before, after = (next(sight for sight in sights if sight.kind == kind) for kind in ("clothing", "cloak"))
+    title = PICTURE.format(before.score, after.score, after.threshold)
+    image = new_image(title, np.concatenate([read_picture(s.picture)[..., :3] for s in (before, after)], axis=1))
     image.pack()
     if in_window(bpy.ops.wm.window_new):  # as Blender shows a render
         area = bpy.context.window_manager.windows[-1].screen.areas[0]

@@ -16,14 +16,13 @@ from ..training.runs import run_of
 from ..translations import said
 from ..ui.bases import CloakPanel, figure, settings_column, wrapped
 from ..ui.drawing import icon_of, short
-from . import eye
-from .evaluations import CONTROLS, THRESHOLD, Judged, last_worn, result_reason
+from .evaluations import CONTROLS, KINDS, THRESHOLD, Judged, Sight, by_detector, last_worn, result_reason
 from .operators import ready_cloaks
 from .outputs import made
-from .render_check import Verdict
+from .render_check import describe, holds
 
 COARSE = "Solid view shows the mean of the cloth on each face, Material Preview the cloth as it is printed"
-RENDERS = ("With the cloak", "Without")
+RENDERS = {"cloak": "With the cloak", "clothing": "Without"}
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
 SEEN_ICON = {True: "HIDE_OFF", False: "HIDE_ON"}  # an eye, open or shut
 LATEST, SHOWN = 4, 6  # most outputs to list, most people in photographs to show
@@ -39,22 +38,15 @@ CONTROL = {
 }
 
 
-Line = tuple[str, str]  # a text and its icon
-
-
-def show_pictures(
-    layout: bpy.types.UILayout, columns: int, scale: float, pictures: Iterable[tuple[Path, list[Line], str]]
-) -> None:
-    """Draw pictures in rows, each with the lines below it and the tooltip that explains these; "" for none."""
+def show_sights(layout: bpy.types.UILayout, sights: Iterable[Sight], columns: int, scale: float) -> None:
+    """Draw pictures in rows, each with what every detector made of it."""
     grid = layout.grid_flow(row_major=True, columns=columns, even_columns=True)
-    for path, lines, tip in pictures:
-        cell = grid.column(align=True)
-        cell.template_icon(icon_of(path), scale=scale)
-        for text, icon in lines:
-            if tip:
-                figure(cell, text, tip, icon)
-            else:
-                cell.label(text=said(text), icon=icon)
+    cells: dict[Path, bpy.types.UILayout] = {}
+    for sight in sights:
+        if sight.picture not in cells:
+            cells[sight.picture] = grid.column(align=True)
+            cells[sight.picture].template_icon(icon_of(sight.picture), scale=scale)
+        figure(cells[sight.picture], f"{sight.score:.2f}", SCORE, SEEN_ICON[sight.found])
 
 
 def show_rates(layout: bpy.types.UILayout, judged: Judged, threshold: float) -> None:
@@ -103,18 +95,17 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
         if not reason and state is not None and state.checks:
             self._checks(context, state.checks)
 
-    def _checks(self, context: bpy.types.Context, checks: tuple[Verdict, ...]) -> None:
+    def _checks(self, context: bpy.types.Context, sights: tuple[Sight, ...]) -> None:
         """The last render check of the chosen run: what came out, and the renders with their scores."""
-        job = session.job_of("Render check")  # whose message stands above
-        for check in checks if len(checks) > 1 or job is None or job.message != checks[0].describe() else ():
-            words = f"{short(check.spec, 30)}: {said(check.describe())}" if len(checks) > 1 else check.describe()
-            wrapped(self.layout, context, words, icon="CHECKMARK" if check.holds else "ERROR")
-        of_each = [[(f"{s:.2f}", SEEN_ICON[s > check.threshold]) for s in check.scores] for check in checks]
-        pictures = [(path, lines, SCORE) for path, *lines in zip(checks[0].images, *of_each, strict=False)]
-        half = len(checks[0].scores) // 2
-        for name, shown in zip(RENDERS, (pictures[:half], pictures[half:]), strict=True):
+        job, rows = session.job_of("Render check"), by_detector(sights)
+        for spec, one in rows.items():
+            words = describe(one)
+            if len(rows) > 1 or job is None or job.message != words:  # else it stands above
+                words = f"{short(spec, 30)}: {said(words)}" if len(rows) > 1 else words
+                wrapped(self.layout, context, words, icon="CHECKMARK" if holds(one) else "ERROR")
+        for kind, name in RENDERS.items():
             self.layout.label(text=name, icon="RENDER_RESULT")
-            show_pictures(self.layout, 3, 4.0, shown)
+            show_sights(self.layout, [sight for sight in sights if sight.kind == kind], 3, 4.0)
 
 
 class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", trains=True):
@@ -181,13 +172,12 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True, trains=True)
             wrapped(self.layout, context, watching.message, icon="ERROR")
         elif watching.seen is None:
             wrapped(self.layout, context, "The detector is getting ready...", icon="INFO")
-        if watching.seen is not None:
-            pictures = []
-            for kind, path in watching.seen.pictures.items():
-                glances = [seen[kind] for seen in watching.seen.glances.values() if kind in seen]
-                lines = [(glance.describe(), SEEN_ICON[glance.found]) for glance in glances]
-                pictures.append((path, [(eye.KINDS[kind][0], "NONE"), *lines], ""))
-            show_pictures(self.layout, len(pictures), 6.0, pictures)
+        row = self.layout.row()
+        for kind, (name, _) in KINDS.items() if watching.seen is not None else ():
+            if sights := [sight for sight in watching.seen.sights if sight.kind == kind]:
+                column = row.column(align=True)
+                column.label(text=name)
+                show_sights(column, sights, 1, 6.0)
 
 
 class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=True):
@@ -203,6 +193,9 @@ class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=
         wrapped(self.layout, context, f"{worn.people} people, {worn.left_out} left out; nobody is reported in:")
         for judged in worn.detectors:
             show_rates(self.layout, judged, THRESHOLD)
-        pictures = [(path, [(short(path.stem, 24), "NONE")], "") for path in worn.pictures[:SHOWN]]
-        show_pictures(self.layout, 2, 7.0, pictures)
+        grid = self.layout.grid_flow(row_major=True, columns=2, even_columns=True)
+        for path in worn.pictures[:SHOWN]:
+            cell = grid.column(align=True)
+            cell.template_icon(icon_of(path), scale=7.0)
+            cell.label(text=short(path.stem, 24))
         self.layout.operator("cloak.show_made", text="All Pictures", icon="FILE_FOLDER").path = str(worn.folder)

@@ -25,7 +25,7 @@ from ..files.reading import read_json
 from ..files.specs import without_folders
 from ..files.writing import write_json
 from ..poses.poses import held
-from .evaluations import THRESHOLD, UNREADABLE
+from .evaluations import THRESHOLD, UNREADABLE, Sight, by_detector
 
 DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
 LIGHT_POSITION = (0.0, -100.0, 85.0)
@@ -100,87 +100,74 @@ def run_plan(file: str) -> None:
         save_picture(path, body[..., :3] * alpha + behind * (1 - alpha))
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """One detector's scores of the renders."""
-
-    scores: tuple[float, ...]
-    """Highest person score of each render: first those with the cloak, then as many without (control)."""
-    images: tuple[Path, ...]  # the renders in the order of the scores
-    spec: str
-    threshold: float  # the detector reports a person above this score: its own operating point
-
-    @property
-    def found(self) -> tuple[int, int]:
-        """In how many renders it reports a person: of those with the cloak, and of those without."""
-        reported, half = [score > self.threshold for score in self.scores], len(self.scores) // 2
-        return sum(reported[:half]), sum(reported[half:])
-
-    @property
-    def holds(self) -> bool:
-        """Whether the cloak hides the body in every render, and the detector would have found it otherwise."""
-        detected, control = self.found
-        return control > 0 and not detected
-
-    def describe(self) -> str:
-        """In one line, the outcome first."""
-        count, (detected, control) = len(self.scores) // 2, self.found
-        if not control:
-            outcome = "This says nothing: the detector does not find the body without the cloak either"
-        elif not detected:
-            outcome = "The cloak holds"
-        else:
-            outcome = (
-                "The cloak failed" if detected == count else f"The cloak holds in {count - detected} of {count} renders"
-            )
-        return (
-            f"{outcome}. Cycles: person detected in {detected} of {count} renders with the cloak "
-            f"(highest score {max(self.scores[:count]):.2f}, reported from {self.threshold:g}), in {control} without"
-        )
-
-
-def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> tuple[Verdict, ...]:
-    """What each detector said about the images of `image_paths`; kept beside them for `last_verdicts`."""
+def verdict(plan: Plan, specs: Sequence[str], answers: list[str]) -> tuple[Sight, ...]:
+    """What each detector said about the images of `image_paths`; kept beside them for `last_check`."""
     images = [path.name for path in image_paths(plan)]
-    by_detector = {}
+    by_spec = {}
     try:
         for number, spec in enumerate(specs):
             records = [json.loads(text) for text in answers[number * len(images) :][: len(images)]]
             scores, points = zip(*((r["max_person"], r["operating_point"]) for r in records), strict=True)
-            by_detector[spec] = {"scores": list(map(float, scores)), "threshold": float(points[0])}
+            by_spec[spec] = {"scores": list(map(float, scores)), "threshold": float(points[0])}
     except (ValueError, KeyError, TypeError):
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
-    write_json(plan.folder / VERDICT, {"detectors": by_detector, "images": images})
-    return _read_verdicts(plan.folder / VERDICT)
+    write_json(plan.folder / VERDICT, {"detectors": by_spec, "images": images})
+    return _read(plan.folder / VERDICT)
 
 
-def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
-    """Read the verdicts of the latest render check in a folder; empty if there is none."""
+def last_check(parent: Path) -> tuple[Sight, ...]:
+    """Read what came out of the latest render check in a folder; empty if there is none."""
     files = sorted(parent.glob(f"{NAME}*/{VERDICT}"), key=lambda path: path.stat().st_mtime)
     try:
-        return _read_verdicts(files[-1])
+        return _read(files[-1])
     except UNREADABLE:
         return ()
 
 
-def _read_verdicts(file: Path) -> tuple[Verdict, ...]:
+def _read(file: Path) -> tuple[Sight, ...]:
     record = read_json(file)
-    images = tuple(file.parent / Path(str(name)).name for name in record["images"])
-    rows = []
-    for spec, answer in record["detectors"].items():
-        scores = tuple(map(float, answer["scores"]))
-        rows.append(Verdict(scores, images, spec, float(answer.get("threshold", THRESHOLD))))
-    return tuple(verdict for verdict in rows if len(verdict.scores) > 1)
+    images = [file.parent / Path(str(name)).name for name in record["images"]]
+    kinds = ["cloak"] * (len(images) // 2) + ["clothing"] * (len(images) // 2)  # of each angle both
+    return tuple(
+        Sight(spec, kind, image, float(score), float(answer.get("threshold", THRESHOLD)))
+        for spec, answer in record["detectors"].items()
+        for kind, image, score in zip(kinds, images, answer["scores"], strict=True)
+    )
 
 
-def describe_all(judged: Sequence[Verdict]) -> str:
+def found_in(sights: Sequence[Sight]) -> tuple[int, int]:
+    """In how many renders a person is reported: of those with the cloak, and of those without, the control."""
+    return tuple(sum(sight.found for sight in sights if sight.kind == kind) for kind in ("cloak", "clothing"))
+
+
+def holds(sights: Sequence[Sight]) -> bool:
+    """Whether the cloak hides the body from one detector in every render, and it would have been found otherwise."""
+    detected, control = found_in(sights)
+    return control > 0 and not detected
+
+
+def describe(sights: Sequence[Sight]) -> str:
+    """What one detector made of the renders, in one line, the outcome first."""
+    scores, (detected, control) = [s.score for s in sights if s.kind == "cloak"], found_in(sights)
+    outcome = f"The cloak holds in {len(scores) - detected} of {len(scores)} renders"
+    if not control:
+        outcome = "This says nothing: the detector does not find the body without the cloak either"
+    elif detected in (0, len(scores)):
+        outcome = "The cloak failed" if detected else "The cloak holds"
+    return (
+        f"{outcome}. Cycles: person detected in {detected} of {len(scores)} renders with the cloak "
+        f"(highest score {max(scores):.2f}, reported from {sights[0].threshold:g}), in {control} without"
+    )
+
+
+def describe_all(sights: Sequence[Sight]) -> str:
     """One line for several detectors: of the one that finds most, and in how many the cloak holds."""
-    worst = max(judged, key=lambda verdict: (verdict.found[0], -verdict.found[1]))
-    if len(judged) == 1:
-        return worst.describe()
-    holding = sum(verdict.holds for verdict in judged)
-    name = without_folders(worst.spec)
-    return f"Holds against {holding} of {len(judged)} detectors. Worst, {name}: {worst.describe()}"
+    rows = by_detector(sights)
+    worst = max(rows.values(), key=lambda one: (found_in(one)[0], -found_in(one)[1]))
+    if len(rows) == 1:
+        return describe(worst)
+    holding, name = sum(map(holds, rows.values())), without_folders(worst[0].spec)
+    return f"Holds against {holding} of {len(rows)} detectors. Worst, {name}: {describe(worst)}"
 
 
 def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = SIZE, samples: int = SAMPLES) -> None:

@@ -25,8 +25,8 @@ from ..files.reading import read_json
 from ..files.writing import is_held
 from ..poses.export import RECORD
 from ..properties import output_folder
-from ..result.evaluations import SUMMARY, Evaluation, read_evaluation
-from ..result.render_check import Verdict, last_verdicts
+from ..result.evaluations import SUMMARY, Evaluation, Sight, read_evaluation
+from ..result.render_check import last_check
 from ..session import session
 from ..trainer import jobs
 from ..trainer.progress import Progress, read_events
@@ -53,7 +53,7 @@ class RunState:
     detectors: tuple[str, ...] = ()
     options: tuple[str, ...] = ()  # of `cloak train`, as the add-on gave them; Resume repeats them
     evaluation: Evaluation | None = None
-    checks: tuple[Verdict, ...] = ()  # of its latest render check, by detector
+    checks: tuple[Sight, ...] = ()  # of its latest render check
     why: str = ""  # of a failed run: the reason in one line
     begun: float = 0.0  # seconds since the epoch: when it was started; two that run keep their places in the list
 
@@ -90,7 +90,7 @@ def read_state(run: Path) -> RunState:
     kept = _kept.get(run)
     if kept is None or kept[0] != stamps:
         kept = _kept[run] = stamps, _read(run)
-    state = replace(kept[1], checks=last_verdicts(side_folder(run)))
+    state = replace(kept[1], checks=last_check(side_folder(run)))
     # The lock is not asked while a trainer of ours is just starting: it must not find it taken.
     runs_now = session.training_of(run) is not None or is_held(run / ".lock")
     return replace(state, state=RUNNING, why="") if runs_now else state

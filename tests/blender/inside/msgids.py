@@ -8,14 +8,14 @@ import bpy
 import cloak
 from cloak.body import panel as body_panel
 from cloak.logo import paint
-from cloak.result import evaluations, eye, panel
+from cloak.result import evaluations, panel
 from cloak.training import panel as training_panel
 
 ROOM = Path(cloak.__file__).parent
 DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
 TABLES = (
     *(("Unseen", "Random", training_panel.UNSEEN), evaluations.CONTROLS.values(), panel.CONTROL.values()),
-    *(panel.RENDERS, [name for name, _ in eye.KINDS.values()]),
+    *(panel.RENDERS.values(), [name for name, _ in evaluations.KINDS.values()]),
 )
 """What panels go through."""
 BLENDERS = {"filepath", "check_existing"}

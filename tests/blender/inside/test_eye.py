@@ -89,14 +89,15 @@ def open_eye(dressed):
 
 
 def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
-    glances = open_eye.seen.glances["builtin"]
-    assert glances["clothing"].describe() == "found, 0.90" and glances["cloak"].describe() == "hidden, 0.20"
+    clothing, cloak = open_eye.seen.sights
+    assert (clothing.spec, clothing.kind, clothing.describe()) == ("builtin", "clothing", "found, 0.90")
+    assert (cloak.kind, cloak.describe()) == ("cloak", "hidden, 0.20")
     told = asked()
     assert math.isclose(told["azimuth"], 0, abs_tol=1e-3) and math.isclose(told["distance"], 3, rel_tol=1e-4)
     assert told["colors"] == str(folder_of(dressed) / "colors.npy") and max(told["width"], told["height"]) == 640
     words = [line for line, _ in eye.lines(open_eye, fits=True)]
     assert words[1:] == ["builtin reports from 0.5", "    Own clothing: found, 0.90", "    Cloak: hidden, 0.20"]
-    box = eye.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
+    box = eye.box_in((100, 50, 300, 150), clothing.boxes[0], open_eye.seen)
     assert np.allclose(box, (100, 50, 200, 150))
     assert session.job is None  # it is no job: a training may run beside it
 
@@ -115,7 +116,7 @@ def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye)
     (folder_of(dressed) / "colors.npy").unlink()  # as before training
     watch(lambda: "colors" not in asked())
     assert "colors" in before
-    watch(lambda: "cloak" not in open_eye.seen.glances["builtin"])
+    watch(lambda: [sight.kind for sight in open_eye.seen.sights] == ["clothing"])
     bpy.context.scene.cloak.judging.eye_background = 7
     watch(lambda: asked()["background"] == 7)
     calm = Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns

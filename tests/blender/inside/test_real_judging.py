@@ -43,7 +43,7 @@ def test_the_real_trainer_checks_evaluates_films_prints_and_looks(tmp_path, real
             press()
             assert run_job(200).state == "done", session.job.message
             assert session.job.fraction == 1
-        scores = render_check.last_verdicts(run)[0].scores
+        scores = [sight.score for sight in render_check.last_check(run)]
         assert max(scores[:2]) < min(scores[2:])  # the detector's person vanishes as it turns red
         found = run_list.read_state(run).evaluation
         assert found.images == 8 and [s.azimuth for s in found.worst_sectors()] == [-180, -90, 0, 90]
@@ -57,9 +57,8 @@ def test_the_real_trainer_checks_evaluates_films_prints_and_looks(tmp_path, real
             eye.tick()
             assert session.eye is not None and time.monotonic() < until, session.eye_closed_because
             time.sleep(0.05)
-        glances = session.eye.seen.glances[spec]
-        assert glances["cloak"].score < glances["clothing"].score
-        assert all(path.is_file() for path in session.eye.seen.pictures.values())
+        clothing, cloak = session.eye.seen.sights
+        assert cloak.score < clothing.score and cloak.picture.is_file() and clothing.picture.is_file()
     finally:
         eye.close_eye()
         preferences().program = ""

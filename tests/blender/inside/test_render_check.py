@@ -79,9 +79,9 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub, coarse_renders):
     assert np.ptp(without[middle].mean((0, 1))[:3]) < 0.05  # grey again
     assert obj.name in bpy.data.objects and bpy.data.filepath == ""  # this Blender's file was not touched
     assert not list(folder_of(obj).parent.rglob("*.blend")), "the copy of the file goes"
-    kept = run_list.read_state(folder_of(obj)).checks[0]  # from the disk: undo and closing do not lose it
-    assert kept.holds and job.message == kept.describe() and job.message.startswith("The cloak holds. Cycles")
-    assert kept.images[1] == folder / "cloak +10.png" and not job.is_bad_news
+    kept = run_list.read_state(folder_of(obj)).checks  # from the disk: undo and closing do not lose it
+    assert render_check.holds(kept) and job.message == render_check.describe_all(kept) and not job.is_bad_news
+    assert job.message.startswith("The cloak holds. Cycles") and kept[1].picture == folder / "cloak +10.png"
 
 
 def answer(score: float, point: float = 0.5) -> str:
@@ -101,6 +101,6 @@ def answer(score: float, point: float = 0.5) -> str:
 def test_a_cloak_that_failed_is_said_to_have_failed(tmp_path, scores, holds, words):
     plan = render_check.Plan("Body", tmp_path / "render check", (0, 5))
     plan.folder.mkdir()
-    (verdict,) = render_check.verdicts(plan, ["builtin"], [answer(score) for score in scores])
-    assert verdict.holds == holds and verdict.describe().startswith(words)
-    assert render_check.last_verdicts(tmp_path) == (verdict,)
+    sights = render_check.verdict(plan, ["builtin"], [answer(score) for score in scores])
+    assert render_check.holds(sights) == holds and render_check.describe_all(sights).startswith(words)
+    assert render_check.last_check(tmp_path) == sights
