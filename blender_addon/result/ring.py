@@ -29,23 +29,8 @@ OPAQUE = 0.85
 INNER, MIDDLE, OUTER, TEXT = 0.62, 0.70, 0.92, 1.04
 """Radii as shares of the body's largest extent: of own clothing, between both, of the cloak, of the figures."""
 STEP = 3.0  # degrees of a straight piece of the ring
-LABELS = (0.0, 90.0, 180.0, -90.0)
-NAMES = {0.0: "front", 90.0: "left", 180.0: "back", -90.0: "right"}
+NAMES = {0.0: "front", 90.0: "left", 180.0: "back", 270.0: "right"}
 WIDEST = 30.0  # degrees: one azimuth alone says nothing of what is farther away from it than half of this
-
-
-def arcs(sectors: Sequence[Sector]) -> list[tuple[float, float, Sector]]:
-    """Split the circle at half the distance between azimuths, at most `WIDEST` wide: first and last degree of each."""
-    once = {sector.azimuth % 360: sector for sector in sectors}
-    azimuths = sorted(once)
-    segments = []
-    for last, azimuth, following in zip(azimuths[-1:] + azimuths, azimuths, azimuths[1:] + azimuths[:1], strict=False):
-        before, after = (azimuth - last) % 360 or 360, (following - azimuth) % 360 or 360
-        # An azimuth at an end of what was evaluated reaches as far outwards as inwards.
-        nearest = min(before, after, WIDEST)
-        low, high = (gap if gap <= WIDEST else nearest for gap in (before, after))
-        segments.append((azimuth - low / 2, azimuth + high / 2, once[azimuth]))
-    return segments
 
 
 def color_of(success: float) -> tuple[float, float, float]:
@@ -61,12 +46,13 @@ def on_circle(azimuth: float | np.ndarray) -> np.ndarray:
 
 def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
     """Corners [3 n, 2] around the origin, in shares of the body's extent, and their colours [3 n, 4] sRGB."""
-    places, paints = [np.zeros((0, 2))], [np.zeros((0, 4))]
-    for first, last, sector in arcs(sectors):
-        gap = min(0.5, 0.05 * (last - first))
-        count = max(1, math.ceil((last - first) / STEP))
-        turns = on_circle(np.linspace(first + gap, last - gap, count + 1))
-        a, b = turns[:-1], turns[1:]
+    once = {sector.azimuth % 360: sector for sector in sectors}
+    azimuths = np.sort(list(once))
+    width = min(WIDEST, float(np.diff(azimuths, append=azimuths[0] + 360).min()))  # from one azimuth to the next
+    turns = on_circle(np.linspace(-0.45, 0.45, max(1, math.ceil(width / STEP)) + 1) * width + azimuths[:, None])
+    places, paints = [], []
+    for sector, turn in zip(map(once.get, azimuths.tolist()), turns, strict=True):
+        a, b = turn[:-1], turn[1:]
         bands = ((MIDDLE, OUTER, sector.cloak), (INNER, MIDDLE - 0.02, sector.clothing))
         for inner, outer, success in (band for band in bands if band[2] is not None):
             corners = (a * inner, a * outer, b * outer, a * inner, b * outer, b * inner)  # of two triangles
@@ -119,12 +105,12 @@ def draw_words() -> None:
     scale = size_of_words(context)
     place, extent = stand(obj)
     known = {sector.azimuth % 360: sector for sector in evaluation.worst_sectors()}
-    for azimuth in LABELS:
-        sector = known.get(azimuth % 360)
+    for azimuth, name in NAMES.items():
+        sector = known.get(azimuth)
         x, y = on_circle(azimuth) * extent * TEXT
         at = location_3d_to_region_2d(context.region, context.region_data, place + Vector((x, y, 0)))
         if sector is not None and at is not None:
-            write(f"{NAMES[azimuth]} {sector.cloak:.0%}", at.x, at.y, centered=True)
+            write(f"{name} {sector.cloak:.0%}", at.x, at.y, centered=True)
     # At the lower left: what the colours mean.
     x, y, step = 20 * scale, 20 * scale, 16 * scale
     write("found", x, y)
