@@ -82,20 +82,17 @@ def require_sense(options: argparse.Namespace, run: Path) -> None:
         raise InputError(f"--out {options.out}: exists already (continue it with --resume, or name another folder)")
     if options.blend is not None and not options.blend.is_file():
         raise InputError(f"--blend {options.blend}: no such file")
-    for name, path in (("--save", options.save), ("--preview", options.preview)):
-        if path is not None and path.is_dir():
+    for name, path in (("--save", options.save), ("--preview", options.preview), ("--out", run)):
+        if path is None:
+            continue
+        folder = path.absolute().parent
+        if path == run:
+            with written(f"--out {options.out}"):
+                folder.mkdir(parents=True, exist_ok=True)
+        elif path.is_dir():
             raise InputError(f"{name} {path}: is a folder; name a file in it")
-        if path is not None:
-            require_writable(path.absolute(), name)
-    with written(f"--out {options.out}"):
-        run.parent.mkdir(parents=True, exist_ok=True)
-    require_writable(run, "--out")
-
-
-def require_writable(path: Path, option: str) -> None:
-    """Raise `InputError` where no file can be made beside a path."""
-    if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise InputError(f"{option} {path}: the folder {path.parent} does not exist or cannot be written")
+        if not (folder.is_dir() and os.access(folder, os.W_OK)):
+            raise InputError(f"{name} {path}: the folder {folder} does not exist or cannot be written")
 
 
 def find_body(options: argparse.Namespace, program: str, folder: Path) -> bpy.types.Object:
