@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What this Blender holds beside the open file: jobs, the detector's eye, the runs on the disk, what redraws ask again.
+"""What this Blender holds beside the open file: jobs, the runs on the disk, what redraws ask again.
 
 One object, `session`, so that whatever can be stale stands in one place. The add-on resets it when it goes. It lies
 below every room of the add-on, and knows of what the rooms keep in it only what it asks itself.
@@ -22,8 +22,6 @@ class Session:
     """Of `trainer/jobs.py`, as they were asked for: in each lane at most one runs; of each kind the last that ended."""
     allowed: set[str] = field(default_factory=set)
     """Hashes of what the user let run: see `trainer/program.py`."""
-    eye: Any = None  # the detector's eye that is open
-    eye_closed_because: str = ""  # error that closed the last eye; "" if there was none
     runs: dict[str, Any] = field(default_factory=dict)
     """The runs of the panel's list, by their paths; the latest first."""
     runs_drawn: float = 0.0  # when the list was last drawn, on the monotonic clock
@@ -47,6 +45,11 @@ class Session:
     def first_in(self, lane: str) -> Any:
         """The job of a lane that runs, or will next."""
         return next((job for job in self.jobs if job.active and job.lane == lane), None)
+
+    @property
+    def eye(self) -> Any:
+        """The detector's eye that is open."""
+        return self.first_in("Detector's Eye")
 
     def job_of(self, *labels: str) -> Any:
         """The last job of these kinds."""

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The detector's eye: what a detector makes of the body from where the user, or the scene's camera, looks.
 
-The trainer renders the view as it renders for training, in own clothing and (once there are colours) cloaked. A timer
-asks again when the view, the body or the colours have changed, as soon as the last answer is there; boxes are drawn
-over the viewport only where they belong to what it shows. `cloak look` stays as a process beside the jobs, so that a
+The trainer renders the view as it renders for training, in own clothing and (once there are colours) cloaked. It is
+asked again when the view, the body or the colours have changed, as soon as the last answer is there; boxes are drawn
+over the viewport only where they belong to what it shows. `cloak look` is a job in a lane of its own, so that a
 training can be watched: asked on its standard input, it answers in files, and ends when Blender does.
 """
 
 import json
-import logging
 import subprocess
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -16,7 +15,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 
 from ..blender.blend_paths import absolute
 from ..blender.mesh_arrays import evaluated_mesh, to_world, topology, vertex_points
@@ -27,18 +25,17 @@ from ..files.identity import sha256_arrays
 from ..files.reading import read_json
 from ..poses.poses import PoseChoice
 from ..session import session
-from ..trainer.jobs import last_words
+from ..trainer.jobs import Job
 from ..trainer.program import cloak_command, options, start_process, trainer
 from ..training.detectors import judges
 from ..training.runs import is_cloth, run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
-from ..ui.window import Hooks, areas, between_strokes, main_region, redraw
+from ..ui.window import Hooks, areas, main_region, redraw
 from .evaluations import KINDS, Sight, by_detector, export_worn, worn_reason
 from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
-LOG = logging.getLogger(__name__)
+LABEL = "Detector's Eye"
 LONGEST = 640  # pixels along the longer side of the pictures that the detector gets
-TICK_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -68,64 +65,71 @@ def read_answer(path: Path, viewpoint: Viewpoint | None = None) -> Seen:
         raise InputError(f"{path}: not the answer to a look") from None
 
 
-class Eye:
+class Eye(Job):
     """Watches one body through detectors; it has one question at a time under way."""
 
+    lane = LABEL  # no other job waits for it
+
     def __init__(self, obj: bpy.types.Object, settings: bpy.types.PropertyGroup, folder: Path, region: int = 0) -> None:
-        self.message = ""  # why the detector cannot look now; "" if it can
-        self.seen: Seen | None = None
+        super().__init__(LABEL, [], folder, "look")
+        self.on_tick = self._watch
         self.region = region  # the viewport that is looked from, by its address; 0 for any
-        self.waiting = False
         self._uid = obj.session_uid
         self._folder = folder
         self._answer = folder / "look.json"
         self._program = trainer()
-        self._asked: tuple = ()
-        self._asked_from: Viewpoint | None = None
         self._shape: tuple = ()
         self._exported: tuple = ()
         self._fitting: tuple[tuple, Path | None] = (), None
-        self._start(judges(settings), settings.device)
+        self._ask_these(judges(settings), settings.device)
 
-    def _start(self, specs: tuple[str, ...], device: str) -> None:
-        """Start the process of these detectors."""
-        command = cloak_command(self._program, "look", "-", *options(specs, device=device))
-        log = self._folder / "look.log"
-        log.unlink(missing_ok=True)
-        self._process = start_process(command, subprocess.DEVNULL, log, stdin=subprocess.PIPE)
+    def _ask_these(self, specs: tuple[str, ...], device: str) -> None:
+        """Make the command of these detectors; nothing has been asked of them."""
+        self._commands = [cloak_command(self._program, "look", "-", *options(specs, device=device))]
         self.specs = specs
-        self.seen = None
+        self.seen: Seen | None = None
         self.waiting = False
-        self._asked = ()
+        self._asked: tuple = ()
+        self._asked_from: Viewpoint | None = None
+
+    def _start(self, command: list[str]) -> subprocess.Popen:
+        return start_process(command, subprocess.DEVNULL, self.log, stdin=subprocess.PIPE)
+
+    def _terminate(self) -> None:
+        """Let the process go: it ends when its standard input does; asked twice, in case it is still starting."""
+        with suppress(OSError):
+            self._process.stdin.close()
+        super()._terminate()
 
     @property
     def object(self) -> bpy.types.Object | None:
         return object_of(self._uid)
 
-    def tick(self, context: bpy.types.Context) -> None:
+    def _watch(self, _: Job) -> None:
         """Take what has been answered and ask what is new. Raises `InputError` when there is nothing to look at."""
-        specs = self.specs
+        if not self.running or self._cancelled:
+            return
+        context, specs = bpy.context, self.specs
         with suppress(InputError):  # while a name is being typed the last detectors go on
             specs = judges(context.scene.cloak)
         if specs != self.specs:
-            self.close()
-            self._start(specs, context.scene.cloak.device)
-        if (code := self._process.poll()) is not None:
-            words = last_words(self._folder / "look.log")
-            raise InputError(words or f"The detector's process ended (exit code {code})")
+            self._terminate()
+            self._ask_these(specs, context.scene.cloak.device)
+            self._process = self._start(*self._commands)
         if self.object is None:
-            raise InputError("The body that was looked at is gone")
-        before = (self.seen, self.message)
+            self.cancel()
+            self._finish("failed", "The body that was looked at is gone")
+            return
+        before, self.notice = (self.seen, self.notice), ""
         try:
             if self.waiting and self._answer.exists():
                 self.waiting = False
                 self.seen = read_answer(self._answer, self._asked_from)
             if not self.waiting:
                 self._ask(context, self.object)
-                self.message = ""
         except InputError as error:
-            self.message = str(error)
-        if before != (self.seen, self.message):
+            self.notice = str(error)
+        if before != (self.seen, self.notice):
             redraw()
 
     def _ask(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
@@ -191,42 +195,6 @@ class Eye:
             self._exported = shape
         self._shape = (session.mesh_changes, *about)  # exporting may itself have counted as a change
 
-    def close(self) -> None:
-        """Let the process go: it ends when its standard input does; asked twice, in case it is still starting."""
-        with suppress(OSError):
-            self._process.stdin.close()
-        with suppress(OSError):
-            self._process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(0.5)  # else nobody would take note of its end
-
-
-@persistent
-def close_eye(*_: object, why: str = "") -> None:
-    """Close the open eye."""
-    if bpy.app.timers.is_registered(tick):
-        bpy.app.timers.unregister(tick)
-    if session.eye is not None:
-        session.eye.close()
-    session.eye = None
-    session.eye_closed_because = why
-
-
-@between_strokes(TICK_SECONDS)
-def tick() -> float | None:
-    """The timer's function."""
-    if session.eye is None:
-        return None
-    try:
-        session.eye.tick(bpy.context)
-    except Exception as error:
-        if not isinstance(error, InputError):
-            LOG.exception("Detector's eye")
-        close_eye(why=str(error) or type(error).__name__)
-        redraw()
-        return None
-    return TICK_SECONDS
-
 
 # --- over the viewport -----------------------------------------------------------------------------------------------
 
@@ -271,8 +239,8 @@ def box_in(place: Rectangle, box: tuple[float, ...], seen: Seen) -> Rectangle:
 
 def lines(watching: Eye, fits: bool) -> list[tuple[str, tuple[float, float, float]]]:
     """Return the lines at the upper left and their colours. fits: the viewport shows the last picture."""
-    if watching.message:
-        return [("Detector's eye", WHITE), (watching.message, KINDS["clothing"][1])]
+    if watching.notice:
+        return [("Detector's eye", WHITE), (watching.notice, KINDS["clothing"][1])]
     rows = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
     for spec, sights in by_detector(watching.seen.sights).items() if watching.seen is not None and fits else ():
         rows.append((f"{short(spec)} reports from {sights[0].threshold:g}", WHITE))
@@ -294,4 +262,4 @@ def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:
             write(words, x1 + 4 * scale, top + 5 * scale)
 
 
-HOOKS = Hooks(("load_pre", close_eye), drawing=((draw, "POST_PIXEL"),), closing=close_eye)
+HOOKS = Hooks(drawing=((draw, "POST_PIXEL"),))

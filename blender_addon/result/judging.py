@@ -131,17 +131,14 @@ It goes on looking as you move, and while a training runs, until this is pressed
 
     def run(self, context: bpy.types.Context) -> str:
         if session.eye is not None:
-            eye.close_eye()
+            session.eye.cancel()
             redraw()
             return "The detector looks no more"
         folder = Path(bpy.app.tempdir, "cloak eye")
         folder.mkdir(parents=True, exist_ok=True)
         in_viewport = context.area is not None and context.area.type == "VIEW_3D"
         region = main_region(context.area).as_pointer() if in_viewport else 0
-        session.eye = eye.Eye(active_body(context), context.scene.cloak, folder, region)
-        session.eye_closed_because = ""
-        if not bpy.app.background:
-            bpy.app.timers.register(eye.tick)
+        launch(eye.Eye(active_body(context), context.scene.cloak, folder, region))
         return f"{', '.join(session.eye.specs)}: getting ready to look"
 
 

@@ -164,13 +164,10 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True, trains=True)
         text = "Close the Eye" if open_ else "Look"
         self.layout.operator("cloak.eye", text=text, icon=SEEN_ICON[open_], depress=open_)
         settings_column(self.layout, judging, "eye_from", "eye_background")
+        self.outcome(context, "Detector's Eye")
         if watching is None:
-            if session.eye_closed_because:
-                wrapped(self.layout, context, session.eye_closed_because, icon="ERROR")
             return
-        if watching.message:
-            wrapped(self.layout, context, watching.message, icon="ERROR")
-        elif watching.seen is None:
+        if watching.seen is None:
             wrapped(self.layout, context, "The detector is getting ready...", icon="INFO")
         row = self.layout.row()
         for kind, (name, _) in KINDS.items() if watching.seen is not None else ():

@@ -56,12 +56,12 @@ def eye(obj):
     bpy.ops.cloak.eye()
     while session.eye.seen is None:
         yield 0.2
-        assert session.eye is not None, session.eye_closed_because
+        assert session.eye is not None, session.job.message
     first = session.eye.seen.viewpoint
     yield from look_from(0.25, 0.1)
     while session.eye.seen.viewpoint == first or session.eye.waiting:  # it looks again
         yield 0.2
-        assert session.eye is not None, session.eye_closed_because
+        assert session.eye is not None, session.job.message
     assert "cloak" in {sight.kind for sight in session.eye.seen.sights}
 
 

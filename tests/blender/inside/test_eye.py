@@ -12,7 +12,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from cloak.files.errors import InputError
 from cloak.result import eye, viewpoints
 from cloak.session import session
-from conftest import folder_of
+from cloak.trainer import jobs
+from conftest import folder_of, run_job
 from made import add_camera
 from mathutils import Matrix, Vector
 
@@ -69,8 +70,8 @@ def watch(until, seconds: float = 20) -> None:
     """Let the eye look, as Blender's timer would."""
     end = time.monotonic() + seconds
     while not until():
-        assert time.monotonic() < end and session.eye is not None, session.eye_closed_because or session.eye.message
-        eye.tick()
+        assert time.monotonic() < end and session.eye is not None, session.job_of(eye.LABEL).message
+        jobs.tick()
         time.sleep(0.02)
 
 
@@ -84,8 +85,7 @@ def open_eye(dressed):
     add_camera((0, -3, 0.9))
     bpy.ops.cloak.eye()
     watch(lambda: session.eye.seen is not None)
-    yield session.eye
-    eye.close_eye()
+    return session.eye
 
 
 def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
@@ -99,7 +99,7 @@ def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
     assert words[1:] == ["builtin reports from 0.5", "    Own clothing: found, 0.90", "    Cloak: hidden, 0.20"]
     box = eye.box_in((100, 50, 300, 150), clothing.boxes[0], open_eye.seen)
     assert np.allclose(box, (100, 50, 200, 150))
-    assert session.job is None  # it is no job: a training may run beside it
+    assert session.first_in("") is None  # a training may run beside it
 
 
 def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye):
@@ -121,21 +121,23 @@ def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye)
     watch(lambda: asked()["background"] == 7)
     calm = Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns
     for _ in range(20):
-        eye.tick()
+        jobs.tick()
         time.sleep(0.01)
     assert Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns == calm  # nothing new, nothing asked
 
 
 def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye):
-    process = open_eye._process
     bpy.ops.cloak.eye()
-    assert session.eye is None and process.poll() is not None
+    assert run_job().message == "Detector's Eye stopped" and session.eye is None
     bpy.ops.cloak.eye()
-    process = session.eye._process
-    process.kill()
-    process.wait()
-    assert eye.tick() is None and session.eye is None and "exit code -9" in session.eye_closed_because
+    session.eye._process.kill()
+    assert "was killed (signal 9)" in run_job().message and session.eye is None
     bpy.ops.cloak.eye()
-    assert session.eye_closed_because == ""
+    assert session.job_of(eye.LABEL).message == ""
     bpy.data.objects.remove(dressed)
-    assert eye.tick() is None and "is gone" in session.eye_closed_because
+    assert "is gone" in run_job().message and session.eye is None
+
+
+def test_the_eye_asks_other_detectors_once_they_are_in_the_list(dressed, open_eye):
+    bpy.context.scene.cloak.detectors.add().spec = "torchvision:x"
+    watch(lambda: open_eye.seen is not None and open_eye.seen.sights[0].spec == "torchvision:x")

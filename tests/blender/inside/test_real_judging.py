@@ -5,8 +5,9 @@ import time
 
 import bpy
 import numpy as np
-from cloak.result import eye, outputs, render_check
+from cloak.result import outputs, render_check
 from cloak.session import session
+from cloak.trainer import jobs
 from cloak.trainer.program import preferences
 from cloak.training import run_list
 from conftest import run_job
@@ -54,11 +55,11 @@ def test_the_real_trainer_checks_evaluates_films_prints_and_looks(tmp_path, real
         bpy.ops.cloak.eye()
         until = time.monotonic() + 300
         while session.eye.seen is None:
-            eye.tick()
-            assert session.eye is not None and time.monotonic() < until, session.eye_closed_because
+            jobs.tick()
+            assert session.eye is not None and time.monotonic() < until, session.job_of("Detector's Eye").message
             time.sleep(0.05)
         clothing, cloak = session.eye.seen.sights
         assert cloak.score < clothing.score and cloak.picture.is_file() and clothing.picture.is_file()
     finally:
-        eye.close_eye()
+        jobs.shut_down()
         preferences().program = ""
