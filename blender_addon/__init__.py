@@ -36,8 +36,8 @@ CLASSES = (
     *(
         cls
         for module in (import_module(f".{name}", __package__) for name in WITH_CLASSES)
-        for name, cls in vars(module).items()
-        if name.startswith("CLOAK_") and cls.__module__ == module.__name__
+        for cls in (getattr(thing, "operator", thing) for thing in vars(module).values())
+        if getattr(cls, "__name__", "").startswith("CLOAK_") and cls.__module__ == module.__name__
     ),
 )
 

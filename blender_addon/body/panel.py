@@ -11,14 +11,15 @@ from ..blender.faces import active_logo, logo_names, write_faces
 from ..blender.mesh_arrays import require_object_mode
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
-from ..trainer.jobs import Job, run_cloak
+from ..trainer.jobs import run_cloak
 from ..trainer.program import SAMPLES, sample_words, trainer_reason, user_folder
 from ..translations import said
 from ..ui import props
-from ..ui.bases import BodyOperator, CloakOperator, CloakPanel, push_undo, wrapped
+from ..ui.bases import CloakPanel, operator, push_undo, wrapped
 from ..ui.window import areas, main_region
+from . import objects
 from .garments import faces_over, wearable
-from .objects import ASSETS, CLOTHES, active_body, add_people, body_reason, logo_reason, subdivide
+from .objects import ASSETS, CLOTHES, active_body, add_people, body_reason, logo_reason
 
 UNSEEN = (
     "The camera does not see {}: it sees meshes alone (Object > Convert > Mesh; of an instance, Object > Apply > Make "
@@ -27,54 +28,47 @@ UNSEEN = (
 MOST_WORN = 8  # most worn objects to list
 
 
-class CLOAK_OT_subdivide(BodyOperator, label="Subdivide Body"):
+@operator("Subdivide Body", triangulate=props.switch("Triangulate", "Also split every face into triangles", True))
+def subdivide(context: bpy.types.Context, obj: bpy.types.Object, triangulate: bool) -> str:
     """Split every face of the body in place (Simple, one level), so that the cloak has more and smaller faces. Shape \
 keys, weights, materials, UVs and logos are kept"""
-
-    triangulate: props.switch("Triangulate", "Also split every face into triangles", True)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.triangulate = context.scene.cloak.triangulate
-        return self.execute(context)
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        before, after = subdivide(obj, self.triangulate)
-        return f"'{obj.name}': {before:,} faces became {after:,}"
+    before, after = objects.subdivide(obj, triangulate)
+    return f"'{obj.name}': {before:,} faces became {after:,}"
 
 
-class CLOAK_OT_apply_copy(BodyOperator, label="Apply a Copy"):
+@operator("Apply a Copy")
+def apply_copy(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Make a copy of the body with the modifiers applied that make new faces, and hide the original. Deforming \
 modifiers stay; shape keys end in their present mix"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        require_object_mode(obj, "Leave {mode} to apply modifiers")
-        copy = applied_copy(context, obj)
-        return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
+    require_object_mode(obj, "Leave {mode} to apply modifiers")
+    copy = applied_copy(context, obj)
+    return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
 
 
-class CLOAK_OT_add_sample_body(CloakOperator, label="Add Sample Body", told_by="people"):
-    """Add Cloak's own people, one pose a frame, with named regions as logos: standing in clothing that is painted on, \
-or walking and running in a shirt and trousers that are objects of their own"""
-
-    people: props.choice(
+@operator(
+    "Add Sample Body",
+    told_by="people",
+    people=props.choice(
         "People",
         "Whom to add",
         ("BARE", "Sample Body", "Standing people of varied shape, in clothing that is painted on"),
         ("CLOTHED", "Clothed", "People who walk, run and stand in shirt and trousers"),
-    )
+    ),
+)
+def add_sample_body(context: bpy.types.Context, people: str) -> str:
+    """Add Cloak's own people, one pose a frame, with named regions as logos: standing in clothing that is painted on, \
+or walking and running in a shirt and trousers that are objects of their own"""
+    if people == "BARE" and trainer_reason() and (ASSETS / "sample").is_dir():
+        return _add(ASSETS / "sample", people)
+    folder = user_folder("sample")
+    scene = folder / "scene"
+    shutil.rmtree(scene, ignore_errors=True)
+    add = lambda job: _add(scene, people)
+    waits = run_cloak("Sample body", sample_words(scene, people), folder, "sample", add)
+    return f"Fetching the sample body from the trainer{waits}"
 
-    def run(self, context: bpy.types.Context) -> str:
-        if self.people == "BARE" and trainer_reason() and (ASSETS / "sample").is_dir():
-            return _add(None, ASSETS / "sample", self.people)
-        folder, people = user_folder("sample"), self.people
-        scene = folder / "scene"
-        shutil.rmtree(scene, ignore_errors=True)
-        words, add = sample_words(scene, people), lambda job: _add(job, scene, people)
-        waits = run_cloak("Sample body", words, folder, "sample", add)
-        return f"Fetching the sample body from the trainer{waits}"
 
-
-def _add(job: Job | None, scene: Path, people: str) -> str:
+def _add(scene: Path, people: str) -> str:
     bodies, clothed = read_scene(scene), people == "CLOTHED"
     obj = add_people(bpy.context, bodies, clothed, "Sample Body")
     obj.cloak.made_from = f"{SAMPLES[people]}|{bodies.topology}"
@@ -92,21 +86,18 @@ def _add(job: Job | None, scene: Path, people: str) -> str:
     return f"Added {', '.join(worn)}"
 
 
-class CLOAK_OT_logo_onto(BodyOperator, label="Put the Logo on It", needs=logo_reason):
+@operator("Put the Logo on It", logo_reason, garment=props.text("Piece", "Name of what covers the logo"))
+def logo_onto(context: bpy.types.Context, obj: bpy.types.Object, garment: str) -> str:
     """Let the logo go on over this piece: make a logo of the same name of the faces that lie over it"""
-
-    garment: props.text("Piece", "Name of what covers the logo")
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        worn = next((o for o in wearable(obj) if o.name == self.garment), None)
-        if worn is None:
-            raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
-        logo = active_logo(obj)
-        mask = faces_over(context, obj, worn, logo)
-        if not mask.any():
-            raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
-        write_faces(worn, logo, mask)
-        return f"Logo '{logo}' goes on over {int(mask.sum()):,} faces of '{worn.name}'"
+    worn = next((o for o in wearable(obj) if o.name == garment), None)
+    if worn is None:
+        raise InputError(f"'{garment}' is not worn by '{obj.name}' any more")
+    logo = active_logo(obj)
+    mask = faces_over(context, obj, worn, logo)
+    if not mask.any():
+        raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
+    write_faces(worn, logo, mask)
+    return f"Logo '{logo}' goes on over {int(mask.sum()):,} faces of '{worn.name}'"
 
 
 class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
@@ -133,8 +124,9 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         row = self.layout.row(align=True)
         splits = row.row(align=True)
         splits.enabled = not reason
-        splits.operator("cloak.subdivide", text="Subdivide")
-        splits.prop(context.scene.cloak, "triangulate", toggle=True)
+        settings = context.scene.cloak
+        splits.operator("cloak.subdivide", text="Subdivide").triangulate = settings.triangulate
+        splits.prop(settings, "triangulate", toggle=True)
         row = self.layout.row(align=True)
         row.operator("cloak.add_sample_body", text="Sample Body", icon="ADD").people = "BARE"
         row.operator("cloak.add_sample_body", text="Clothed", icon="ADD").people = "CLOTHED"

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.props import EnumProperty, StringProperty
-from bpy_extras.io_utils import ExportHelper, ImportHelper
+from bpy.props import EnumProperty
 
 from ..blender import colors, faces
 from ..blender.blend_paths import first_free
@@ -16,7 +15,7 @@ from ..blender.faces import read_selection
 from ..blender.marks import COLORS, HEAT, HEATMAP, layer_name, layer_of, make_layer, our_names, remove_layer
 from ..blender.mesh_arrays import current_mesh, face_count, mode_reason, object_mode, read, topology
 from ..body.garments import is_dressed
-from ..body.objects import active_body, body_reason, logo_reason, object_of, of_the_body, refusal, upright_reason
+from ..body.objects import active_body, logo_reason, object_of, of_the_body, refusal, upright_reason
 from ..exchange.face_lists import hottest_faces, write_face_list
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
@@ -26,7 +25,7 @@ from ..properties import pose_choice, train_options
 from ..trainer.jobs import Job, run_cloak
 from ..trainer.program import user_folder
 from ..ui import props
-from ..ui.bases import BodyOperator, CloakOperator, push_undo
+from ..ui.bases import operator, push_undo
 
 
 def selected_faces(obj: bpy.types.Object) -> np.ndarray:
@@ -57,28 +56,23 @@ def take(
     return name
 
 
-class CLOAK_OT_logo_new(BodyOperator, label="New from Selection"):
+@operator("New from Selection", name=props.text("Name", "Name of the new logo", "Logo"))
+def logo_new(context: bpy.types.Context, obj: bpy.types.Object, name: str) -> str:
     """Make a logo of the selected faces"""
-
-    name: props.text("Name", "Name of the new logo", "Logo")
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        mask = selected_faces(obj)
-        return f"Logo '{take(obj, mask, self.name)}': {int(mask.sum()):,} faces"
+    mask = selected_faces(obj)
+    return f"Logo '{take(obj, mask, name)}': {int(mask.sum()):,} faces"
 
 
-class CLOAK_OT_logo_assign(BodyOperator, label="Assign", needs=logo_reason):
+@operator("Assign", logo_reason)
+def logo_assign(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Add the selected faces to the active logo"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        return _write(obj, selected_faces(obj), True)
+    return _write(obj, selected_faces(obj), True)
 
 
-class CLOAK_OT_logo_unassign(BodyOperator, label="Remove", needs=logo_reason):
+@operator("Remove", logo_reason)
+def logo_unassign(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Take the selected faces out of the active logo"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        return _write(obj, read_selection(obj), False)
+    return _write(obj, read_selection(obj), False)
 
 
 def _write(obj: bpy.types.Object, chosen: np.ndarray, belong: bool) -> str:
@@ -88,53 +82,43 @@ def _write(obj: bpy.types.Object, chosen: np.ndarray, belong: bool) -> str:
     return f"Logo '{name}': {int(faces.read_faces(obj, name).sum()):,} faces"
 
 
-class CLOAK_OT_logo_select(BodyOperator, label="Select", needs=logo_reason):
+@operator("Select", logo_reason)
+def logo_select(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Select the faces of the active logo"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        name = faces.active_logo(obj)
-        with current_mesh(obj):
-            mask = faces.require_logo(obj, name)
-            hidden = faces.select_faces(obj, mask)
-        note = f"; {hidden:,} are hidden and stay unselected: reveal them with Alt H" if hidden else ""
-        return f"Selected {int(mask.sum()):,} faces{note}"
+    name = faces.active_logo(obj)
+    with current_mesh(obj):
+        mask = faces.require_logo(obj, name)
+        hidden = faces.select_faces(obj, mask)
+    note = f"; {hidden:,} are hidden and stay unselected: reveal them with Alt H" if hidden else ""
+    return f"Selected {int(mask.sum()):,} faces{note}"
 
 
-class CLOAK_OT_logo_remove(BodyOperator, label="Delete Logo", needs=logo_reason):
+@operator("Delete Logo", logo_reason)
+def logo_remove(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Delete the active logo; the faces themselves stay"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        name = faces.active_logo(obj)
-        with object_mode(obj):
-            obj.data.attributes.remove(obj.data.attributes[name])
-        obj.cloak.logo = next(iter(faces.logo_names(obj.data)), "")
-        return f"Deleted logo '{name}'"
+    name = faces.active_logo(obj)
+    with object_mode(obj):
+        obj.data.attributes.remove(obj.data.attributes[name])
+    obj.cloak.logo = next(iter(faces.logo_names(obj.data)), "")
+    return f"Deleted logo '{name}'"
 
 
-class CLOAK_OT_logo_export(CloakOperator, ExportHelper, label="Export Face List", needs=logo_reason):
+@operator("Export Face List", logo_reason, writes=".npy")
+def logo_export(context: bpy.types.Context, filepath: str) -> str:
     """Write the active logo as a face list (.npy) with its sidecar (.json), for the command line"""
-
-    filename_ext = ".npy"
-    filter_glob: StringProperty(default="*.npy", options={"HIDDEN"})
-
-    def run(self, context: bpy.types.Context) -> str:
-        obj = active_body(context)
-        name = faces.active_logo(obj)
-        with current_mesh(obj):
-            ids = np.flatnonzero(faces.require_logo(obj, name))
-            write_face_list(self.filepath, ids, topology(obj))
-        return f"Wrote {self.filepath}: {len(ids):,} faces of '{obj.name}'"
+    obj = active_body(context)
+    name = faces.active_logo(obj)
+    with current_mesh(obj):
+        ids = np.flatnonzero(faces.require_logo(obj, name))
+        write_face_list(filepath, ids, topology(obj))
+    return f"Wrote {filepath}: {len(ids):,} faces of '{obj.name}'"
 
 
-class CLOAK_OT_logo_import(BodyOperator, ImportHelper, label="Import Face List"):
+@operator("Import Face List", reads=".npy;*.idx")
+def logo_import(context: bpy.types.Context, obj: bpy.types.Object, filepath: str) -> str:
     """Make a logo from a face list (.npy) that was made for this mesh"""
-
-    filename_ext = ".npy"
-    filter_glob: StringProperty(default="*.npy;*.idx", options={"HIDDEN"})
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        obj.cloak.logo = faces.import_face_list(obj, Path(self.filepath))
-        return f"Logo '{obj.cloak.logo}': {int(faces.read_faces(obj, obj.cloak.logo).sum()):,} faces"
+    obj.cloak.logo = faces.import_face_list(obj, Path(filepath))
+    return f"Logo '{obj.cloak.logo}': {int(faces.read_faces(obj, obj.cloak.logo).sum()):,} faces"
 
 
 @of_the_body
@@ -145,32 +129,32 @@ def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return mode_reason(obj, "Leave {mode} to see the heat map")
 
 
-class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", trains=True):
+def heatmap_reason(context: bpy.types.Context) -> str:
+    """Why no heat can be measured."""
+    return upright_reason(context) or refusal(train_options, context.scene.cloak)
+
+
+@operator("Heatmap", heatmap_reason, trains=True)
+def heatmap(context: bpy.types.Context) -> str:
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
+    obj, settings = active_body(context), context.scene.cloak
+    if obj.mode == "EDIT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    folder = first_free(user_folder("heatmap"), "heat")
+    write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings))[0])
+    words = heatmap_words(train_options(settings), folder)
+    uid, expected = obj.session_uid, topology(obj)
 
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return upright_reason(context) or refusal(train_options, context.scene.cloak)
+    def show(job: Job) -> str:
+        body = object_of(uid)
+        if body is None or topology(body) != expected:
+            raise InputError("The body changed while its heat map was made: press Heatmap again")
+        show_heat(body, read_npy(folder / "heat.npy"))
+        push_undo("Heatmap")
+        shutil.rmtree(folder, ignore_errors=True)
+        return "Heatmap: bright faces move the detector most"
 
-    def run(self, context: bpy.types.Context) -> str:
-        obj, settings = active_body(context), context.scene.cloak
-        if obj.mode == "EDIT":
-            bpy.ops.object.mode_set(mode="OBJECT")
-        folder = first_free(user_folder("heatmap"), "heat")
-        write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings))[0])
-        words = heatmap_words(train_options(settings), folder)
-        uid, expected = obj.session_uid, topology(obj)
-
-        def show(job: Job) -> str:
-            body = object_of(uid)
-            if body is None or topology(body) != expected:
-                raise InputError("The body changed while its heat map was made: press Heatmap again")
-            show_heat(body, read_npy(folder / "heat.npy"))
-            push_undo("Heatmap")
-            shutil.rmtree(folder, ignore_errors=True)
-            return "Heatmap: bright faces move the detector most"
-
-        return "Measuring which faces move the detector" + run_cloak("Heatmap", words, folder, "heatmap", show, True)
+    return "Measuring which faces move the detector" + run_cloak("Heatmap", words, folder, "heatmap", show, True)
 
 
 HEAT_STOPS = ((0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75))
@@ -198,26 +182,24 @@ def show_heat(obj: bpy.types.Object, heat: np.ndarray) -> None:
     colors.show_attribute(obj, HEATMAP)
 
 
-class CLOAK_OT_heatmap_toggle(BodyOperator, label="Toggle Heatmap", needs=heat_reason):
+@operator("Toggle Heatmap", heat_reason)
+def heatmap_toggle(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Show the heat map, or give the body its own look, or its cloak, back; the heat stays for New from Heatmap"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        if not colors.shows(obj, HEATMAP):
-            show_heat(obj, read(layer_of(obj.data, HEAT).data, "value"))
-            return f"'{obj.name}' shows its heat map"
-        colors.show_attribute(obj, COLORS if is_dressed(obj) and layer_name(obj.data, COLORS) else "")
-        if colors.shows(obj, HEATMAP):  # a body without colours of its own has nothing else to show
-            remove_layer(obj.data, HEATMAP)
-        return f"'{obj.name}' shows its heat map no more"
+    if not colors.shows(obj, HEATMAP):
+        show_heat(obj, read(layer_of(obj.data, HEAT).data, "value"))
+        return f"'{obj.name}' shows its heat map"
+    colors.show_attribute(obj, COLORS if is_dressed(obj) and layer_name(obj.data, COLORS) else "")
+    if colors.shows(obj, HEATMAP):  # a body without colours of its own has nothing else to show
+        remove_layer(obj.data, HEATMAP)
+    return f"'{obj.name}' shows its heat map no more"
 
 
-class CLOAK_OT_logo_from_heat(BodyOperator, label="New from Heatmap", needs=heat_reason):
+@operator("New from Heatmap", heat_reason)
+def logo_from_heat(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Make a logo of the faces that move the detector most for their size"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        heat = read(layer_of(obj.data, HEAT).data, "value")
-        ids = hottest_faces(heat, faces.face_areas(obj), context.scene.cloak.heat_share)
-        return f"Logo '{take(obj, np.isin(np.arange(len(heat)), ids), 'Heat')}': {len(ids):,} faces"
+    heat = read(layer_of(obj.data, HEAT).data, "value")
+    ids = hottest_faces(heat, faces.face_areas(obj), context.scene.cloak.heat_share)
+    return f"Logo '{take(obj, np.isin(np.arange(len(heat)), ids), 'Heat')}': {len(ids):,} faces"
 
 
 # --- what belongs together: a material, a face set -------------------------------------------------------------------
@@ -258,56 +240,53 @@ def face_sets(obj: bpy.types.Object) -> Items:
     return items
 
 
-class PickOperator(BodyOperator):
-    """Base: `pick(obj, mesh)` returns a mask of the object's current mesh, and a name for the logo.
-
-    has: whether an object has something to pick. lacks: what to say where it has not.
-    """
-
-    def __init_subclass__(cls, label: str, has: Callable, lacks: str) -> None:
-        reason = lambda context: body_reason(context) or ("" if has(context.object) else lacks)
-        super().__init_subclass__(label=label, needs=reason)
-
-    add: props.switch("Add", "Add to the active logo instead of making a new one")
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        with current_mesh(obj) as mesh:
-            mask, name = self.pick(obj, mesh)
-            if not mask.any():
-                raise InputError(f"'{name}' of '{obj.name}' has no faces: choose another (of {len(mask):,} faces)")
-            name = take(obj, mask, name, self.add)
-        return f"Logo '{name}': {int(mask.sum()):,} faces taken"
+ADD = props.switch("Add", "Add to the active logo instead of making a new one")
 
 
-class CLOAK_OT_logo_from_material(
-    PickOperator, label="From Material", has=lambda obj: len(obj.material_slots), lacks="The body has no materials"
-):
+@of_the_body
+def material_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why no material can be picked."""
+    return "" if len(obj.material_slots) else "The body has no materials"
+
+
+@operator(
+    "From Material",
+    material_reason,
+    slot=EnumProperty(name="Material", description="Whose faces to take", items=_menu(materials)),
+    add=ADD,
+)
+def logo_from_material(context: bpy.types.Context, obj: bpy.types.Object, slot: str, add: bool) -> str:
     """Make a logo of all faces of a material"""
-
-    bl_property = "slot"
-
-    slot: EnumProperty(name="Material", description="Whose faces to take", items=_menu(materials))
-
-    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
-        slot = int(self.slot)  # faces under the cloak count for the material they had before
-        return colors.own_material_slots(obj, mesh) == slot, materials(obj)[slot][1]
+    with current_mesh(obj) as mesh:  # faces under the cloak count for the material they had before
+        mask = colors.own_material_slots(obj, mesh) == int(slot)
+        return _pick(obj, mask, materials(obj)[int(slot)][1], add)
 
 
-class CLOAK_OT_logo_from_face_set(
-    PickOperator,
-    label="From Face Set",
-    has=lambda obj: any(is_face_set(obj, attribute) for attribute in obj.data.attributes),
-    lacks="The body has no face sets (integer face attributes)",
-):
+@of_the_body
+def face_set_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why no face set can be picked."""
+    found = any(is_face_set(obj, attribute) for attribute in obj.data.attributes)
+    return "" if found else "The body has no face sets (integer face attributes)"
+
+
+@operator(
+    "From Face Set",
+    face_set_reason,
+    face_set=EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(face_sets)),
+    add=ADD,
+)
+def logo_from_face_set(context: bpy.types.Context, obj: bpy.types.Object, face_set: str, add: bool) -> str:
     """Make a logo of a sculpting face set, or of the faces that share a value of an integer face attribute"""
+    value, _, name = face_set.partition(" ")
+    with current_mesh(obj) as mesh:
+        return _pick(obj, _integers(mesh, name) == int(value), f"{TITLES.get(name, name)} {value}", add)
 
-    bl_property = "face_set"
 
-    face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(face_sets))
-
-    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
-        value, _, name = self.face_set.partition(" ")
-        return _integers(mesh, name) == int(value), f"{TITLES.get(name, name)} {value}"
+def _pick(obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool) -> str:
+    """Make a logo of this name, or add to the active one; returns what to say."""
+    if not mask.any():
+        raise InputError(f"'{name}' of '{obj.name}' has no faces: choose another (of {len(mask):,} faces)")
+    return f"Logo '{take(obj, mask, name, add)}': {int(mask.sum()):,} faces taken"
 
 
 def is_face_set(obj: bpy.types.Object, attribute: bpy.types.Attribute) -> bool:

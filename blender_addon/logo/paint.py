@@ -2,7 +2,6 @@
 """Painting a logo onto the body as it is seen: with a brush, or with a stamp; by the mouse, or from given places."""
 
 import math
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -15,15 +14,14 @@ from ..blender import faces
 from ..blender.evaluated import joined, read_surface
 from ..blender.mesh_arrays import triangle_areas
 from ..body.garments import worn_by
-from ..body.objects import require_upright, upright_reason
+from ..body.objects import active_body, body_reason, require_upright, upright_reason
 from ..files.errors import InputError
 from ..ui import props
-from ..ui.bases import BodyOperator
-from ..ui.window import main_region, show_progress
-from . import stamp
-from .operators import take
+from ..ui.bases import WITH_UNDO, CloakOperator, operator
+from ..ui.window import main_region, progress_cursor, show_progress
+from .operators import ADD, take
 from .overlay import ADDED, MOVES, PAINT, TAKEN, Preview
-from .stamp import Placed, Projection, front_projection, laid
+from .stamp import Placed, Projection, chosen_stamp, front_projection, laid
 
 RUNNING = {"RUNNING_MODAL"}
 SPACING = 0.4  # of the radius: from one dab to the next
@@ -37,12 +35,19 @@ SIZES = {
 HELP = "Move: place   Wheel, + -: size   R: rotate with the mouse   Click, Enter: stamp   Right click, Esc: cancel"
 
 
-class MouseOperator(BodyOperator):
+class MouseOperator(CloakOperator, needs=body_reason):
     """Base of operators that follow the mouse over a viewport, and show what they will take until they end.
 
     `begin(context, obj)` reads the body's `surface` and returns the colour of the preview on it; `follow(mouse)` gets
-    the mouse's place, [2] pixels of the viewport's main region; `write` makes a logo of what the preview showed.
+    the mouse's place, [2] pixels of the viewport's main region, `key(event)` what is pressed; `write` makes a logo of
+    what the preview showed. `change(context, obj)` does the same from given places, without a mouse.
     """
+
+    bl_options = WITH_UNDO
+
+    def run(self, context: bpy.types.Context) -> str:
+        with progress_cursor():
+            return self.change(context, active_body(context))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return self.attempt(self._invoke, context, event)
@@ -57,6 +62,12 @@ class MouseOperator(BodyOperator):
         self.follow(self.mouse(event))
         context.window_manager.modal_handler_add(self)
         return RUNNING
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type in MOVES:
+            self.follow(self.mouse(event))
+            return RUNNING
+        return self.end(False) if event.type in {"ESC", "RIGHTMOUSE"} else self.key(event)
 
     def mouse(self, event: bpy.types.Event) -> Vector:
         """Where the mouse is in the viewport, whatever region it was pressed in."""
@@ -135,12 +146,10 @@ touches; with X-Ray on, also those behind, all through the body"""
         self._last: Vector | None = None
         return TAKEN if self.action == "REMOVE" else ADDED
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in MOVES:
-            self.follow(self.mouse(event))
+    def key(self, event: bpy.types.Event) -> set[str]:
         if event.type == "LEFTMOUSE" and event.value == "RELEASE":
             return self.end(self._painted.any(), np.flatnonzero(self._painted))
-        return self.end(False) if event.type in {"ESC", "RIGHTMOUSE"} else RUNNING
+        return RUNNING
 
     def follow(self, mouse: Vector) -> None:
         """Dabs all along the way from the last one, so that a quick mouse leaves no gaps."""
@@ -165,47 +174,36 @@ touches; with X-Ray on, also those behind, all through the body"""
         self.redraw()
 
 
-class StampOperator(BodyOperator):
-    """Base: lays the stamp that is set onto the body and what it wears, and makes a logo of the faces it covers."""
+class BodyStamp(Placed):
+    """The stamp that is set, laid onto the body and what it wears: clothing takes the faces that it covers."""
 
-    add: props.switch("Add", "Add to the active logo instead of making a new one")
-
-    def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
-        """Read the body and the stamp; returns the settings."""
+    def __init__(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
         require_upright(obj)
-        settings = context.scene.cloak
-        if settings.stamp_kind == "TEXT":
-            ink, self._name = stamp.text_stamp(settings.stamp_text), settings.stamp_text.strip()
-        elif settings.stamp_kind == "IMAGE":
-            ink, self._name = stamp.image_stamp(settings.stamp_image), Path(settings.stamp_image.name).stem
-        else:
-            ink, self._name = stamp.smiley_stamp(), "Smiley"
-        self._obj, self._worn = obj, worn_by(obj)  # clothing takes the faces that it covers
-        self.surface = joined([read_surface(context, one) for one in (obj, *self._worn)])
-        self._placed = Placed(self.surface, ink)
+        ink, self._name = chosen_stamp(context.scene.cloak)
+        self._obj, self._worn = obj, worn_by(obj)
+        super().__init__(joined([read_surface(context, one) for one in (obj, *self._worn)]), ink)
         show_progress(0.6)  # a body with subdivision takes seconds
-        return settings
 
-    def write(self, projection: Projection) -> str:
-        """Make the logo, or add to the active one; returns what to say."""
-        mask = self._placed.own_mask(projection)
+    def make_logo(self, projection: Projection, add: bool) -> str:
+        """Make a logo of the faces that it covers, or with `add` put them into the active one; returns what to say."""
+        mask = self.own_mask(projection)
         show_progress(0.9)
-        name = take(self._obj, mask, self._name, self.add, self._worn)
+        name = take(self._obj, mask, self._name, add, self._worn)
         return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
 
 
-class CLOAK_OT_logo_stamp(StampOperator, label="Stamp", told_by="add"):
+@operator("Stamp", told_by="add", add=ADD)
+def logo_stamp(context: bpy.types.Context, obj: bpy.types.Object, add: bool) -> str:
     """Project the stamp onto the body's front and make a logo of the faces it covers"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        settings = self.lay(context, obj)
-        place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
-        return self.write(front_projection(obj, *place, self._placed.aspect))
+    settings, placed = context.scene.cloak, BodyStamp(context, obj)
+    place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
+    return placed.make_logo(front_projection(obj, *place, placed.aspect), add)
 
 
-class CLOAK_OT_stamp_drag(StampOperator, MouseOperator, label="Place Stamp", needs=upright_reason, told_by="kind"):
+class CLOAK_OT_stamp_drag(MouseOperator, label="Place Stamp", needs=upright_reason, told_by="kind"):
     """Drag the stamp over the body, see what it takes, click to stamp. The mouse wheel resizes, R rotates"""
 
+    add: ADD
     kind: props.choice(
         "Stamp",
         "What is stamped",
@@ -221,46 +219,46 @@ class CLOAK_OT_stamp_drag(StampOperator, MouseOperator, label="Place Stamp", nee
     angle: props.number("Angle", "Turns the stamp against the clock", subtype="ANGLE")
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        self.lay(context, obj)
-        return self.write(self._projection())
+        self._read(context, obj)
+        return self.write()
 
-    def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
+    def _read(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
         settings = context.scene.cloak
         if self.kind == "LETTER":
             settings.stamp_kind, settings.stamp_text = "TEXT", "G"
         elif self.kind == "SMILEY":
             settings.stamp_kind = "SMILEY"
-        return super().lay(context, obj)
+        self._placed = BodyStamp(context, obj)
+        self.surface = self._placed.surface
 
     def _projection(self) -> Projection:
         place, direction = np.array(self.place), np.array(self.direction)
         return laid(place, direction, self.height, self._placed.aspect, self.angle)
 
+    def write(self) -> str:
+        return self._placed.make_logo(self._projection(), self.add)
+
     def begin(self, context: bpy.types.Context, obj: bpy.types.Object) -> tuple[float, ...]:
-        settings = self.lay(context, obj)
+        self._read(context, obj)
         if self.kind != "SETTINGS":
             area = float(triangle_areas(self.surface.points, self.surface.corners).sum())
             self.height = math.sqrt(PAPER_SHARE * area / (self._placed.ink.mean() * self._placed.aspect))
         else:
-            self.height = settings.stamp_size * float(np.ptp(self.surface.points[:, 2]))
+            self.height = context.scene.cloak.stamp_size * float(np.ptp(self.surface.points[:, 2]))
         self.angle = 0.0
         self._turning: tuple[float, float] | None = None  # where the mouse was, and the angle, when R was pressed
         context.area.header_text_set(HELP)
         return ADDED
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        pressed, mouse = event.value == "PRESS", self.mouse(event)
-        if event.type in MOVES:
-            self.follow(mouse)
-        elif event.type in SIZES and pressed:
+    def key(self, event: bpy.types.Event) -> set[str]:
+        pressed = event.value == "PRESS"
+        if event.type in SIZES and pressed:
             self.height *= SIZES[event.type]
             self._show()
         elif event.type == "R" and pressed:
-            self._turning = None if self._turning else (mouse.x, self.angle)
+            self._turning = None if self._turning else (self.mouse(event).x, self.angle)
         elif event.type in {"LEFTMOUSE", "RET", "NUMPAD_ENTER"} and pressed:
-            return self.end(True, self._projection())
-        elif event.type in {"ESC", "RIGHTMOUSE"}:
-            return self.end(False)
+            return self.end(True)
         elif event.type == "MIDDLEMOUSE" or event.type.startswith(("NDOF", "TRACKPAD")):
             return {"PASS_THROUGH"}  # looking around
         return RUNNING

@@ -4,6 +4,8 @@
 Ink is a bool array [H, W], row 0 at the top. Only the faces under the stamp and in its box are looked at.
 """
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 
@@ -60,6 +62,15 @@ def image_stamp(image: bpy.types.Image | None) -> np.ndarray:
     if not ink.any():
         raise InputError(f"Picture '{image.name}' has no dark, opaque pixels: those are the ink of a stamp")
     return ink
+
+
+def chosen_stamp(settings: bpy.types.PropertyGroup) -> tuple[np.ndarray, str]:
+    """The stamp that is set, and its name."""
+    if settings.stamp_kind == "TEXT":
+        return text_stamp(settings.stamp_text), settings.stamp_text.strip()
+    if settings.stamp_kind == "IMAGE":
+        return image_stamp(settings.stamp_image), Path(settings.stamp_image.name).stem
+    return smiley_stamp(), "Smiley"
 
 
 Projection = np.ndarray

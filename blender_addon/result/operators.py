@@ -11,8 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.props import EnumProperty, StringProperty
-from bpy_extras.io_utils import ImportHelper
+from bpy.props import EnumProperty
 
 from ..blender import colors
 from ..blender.blend_paths import first_free
@@ -35,9 +34,8 @@ from ..trainer.jobs import run_cloak
 from ..trainer.program import SAMPLES
 from ..training import runs
 from ..training.runs import first_pose, run_of
-from ..translations import said
 from ..ui import props
-from ..ui.bases import WITH_UNDO, BodyOperator, CloakOperator
+from ..ui.bases import operator
 from .evaluations import result_reason
 
 LIBRARY = ASSETS / "library"  # of the built extension
@@ -49,12 +47,11 @@ def wear_reason(context: bpy.types.Context) -> str:
     return result_reason(context) or mode_reason(active_body(context), "Leave {mode} to see the colours on the model")
 
 
-class CLOAK_OT_result_load(BodyOperator, label="Load Colours", needs=wear_reason):
+@operator("Load Colours", wear_reason)
+def result_load(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Bring the colours of the run folder onto the model"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        count = runs.import_colors(context, obj, run_of(obj))
-        return f"{count:,} faces of '{obj.name}' wear the trained colours"
+    count = runs.import_colors(context, obj, run_of(obj))
+    return f"{count:,} faces of '{obj.name}' wear the trained colours"
 
 
 @functools.cache  # Blender keeps no copy of a menu's words: they must live on
@@ -64,83 +61,71 @@ def ready_cloaks() -> list[tuple[str, str, str]]:
     return [(path.parent.name, path.parent.name, str(read_json(path).get("about", ""))) for path in paths]
 
 
-class CLOAK_OT_ready_cloak(CloakOperator, label="Ready Cloak"):
+@operator(
+    "Ready Cloak",
+    undo=True,
+    cloak=EnumProperty(name="Ready Cloak", description="Which one to wear", items=lambda _, context: ready_cloaks()),
+)
+def ready_cloak(context: bpy.types.Context, cloak: str) -> str:
     """Wear a cloak that comes with Cloak, on the sample body, which is added where the active body is another. The \
 run is copied to the output folder"""
-
-    bl_options = WITH_UNDO
-
-    cloak: EnumProperty(name="Ready Cloak", description="Which one to wear", items=lambda _, context: ready_cloaks())
-
-    def run(self, context: bpy.types.Context) -> str:
-        source = ASSETS / self.cloak
-        _, expected = runs.trained_faces(source)
-        if body_reason(context) or topology(active_body(context)) != expected:
-            bodies = read_scene(ASSETS / "sample")
-            add_people(context, bodies, False, "Sample Body").cloak.made_from = f"{SAMPLES['BARE']}|{bodies.topology}"
-        obj, place = active_body(context), first_free(output_folder(context.scene.cloak), self.cloak)
-        with written(place):
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copytree(source, place)
-        return runs.wear_run(context, obj, place)
+    source = ASSETS / cloak
+    _, expected = runs.trained_faces(source)
+    if body_reason(context) or topology(active_body(context)) != expected:
+        bodies = read_scene(ASSETS / "sample")
+        add_people(context, bodies, False, "Sample Body").cloak.made_from = f"{SAMPLES['BARE']}|{bodies.topology}"
+    obj, place = active_body(context), first_free(output_folder(context.scene.cloak), cloak)
+    with written(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(source, place)
+    return runs.wear_run(context, obj, place)
 
 
-class CLOAK_OT_result_toggle(BodyOperator, label="Toggle Cloak", needs=wear_reason):
+@operator("Toggle Cloak", wear_reason)
+def result_toggle(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Switch between the cloak and the body's own materials"""
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        if is_dressed(obj):
-            undress(obj)
-            colors.show_attribute(obj)
-            return f"'{obj.name}' shows its own materials"
-        runs.import_colors(context, obj, run_of(obj))
-        return f"'{obj.name}' wears the cloak"
+    if is_dressed(obj):
+        undress(obj)
+        colors.show_attribute(obj)
+        return f"'{obj.name}' shows its own materials"
+    runs.import_colors(context, obj, run_of(obj))
+    return f"'{obj.name}' wears the cloak"
 
 
-class CLOAK_OT_explain(CloakOperator, label="Explain"):
+@operator("Explain", told_by="tip", tip=props.text("Tip", "What the figure means"))
+def explain(context: bpy.types.Context, tip: str) -> str:
     """What a figure of the panel means"""
-
-    tip: props.text("Tip", "What the figure means")
-
-    @classmethod
-    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        return said(properties.tip)
-
-    def run(self, context: bpy.types.Context) -> str:
-        return self.tip
+    return tip
 
 
-class CLOAK_OT_use_standard_view(CloakOperator, label="Use Standard"):
+@operator("Use Standard", undo=True)
+def use_standard_view(context: bpy.types.Context) -> str:
     """Show the trained colours as the detector saw them: Standard colours and, in a Solid viewport, flat light"""
-
-    bl_options = WITH_UNDO
-
-    def run(self, context: bpy.types.Context) -> str:
-        colors.use_standard_view(context.scene)
-        if lit := colors.light_reason(context.space_data):
-            context.space_data.shading.light = "FLAT"
-        return "View transform: Standard" + (", flat light" if lit else "")
+    colors.use_standard_view(context.scene)
+    if lit := colors.light_reason(context.space_data):
+        context.space_data.shading.light = "FLAT"
+    return "View transform: Standard" + (", flat light" if lit else "")
 
 
-class CLOAK_OT_open_report(CloakOperator, label="Open Report", trains=True):
+@of_the_body
+def report_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there is nothing to report."""
+    run = run_of(obj)
+    if run is None:
+        return "Choose a run in the list first"
+    known = (run / "report.html").is_file() or (run / "config.json").is_file()
+    return "" if known else f"{run}: not a run folder (no config.json in it), so there is nothing to report"
+
+
+@operator("Open Report", report_reason, trains=True)
+def open_report(context: bpy.types.Context) -> str:
     """Open the run's report in the web browser, after making it if need be"""
-
-    @staticmethod
-    @of_the_body
-    def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        run = run_of(obj)
-        if run is None:
-            return "Choose a run in the list first"
-        known = (run / "report.html").is_file() or (run / "config.json").is_file()
-        return "" if known else f"{run}: not a run folder (no config.json in it), so there is nothing to report"
-
-    def run(self, context: bpy.types.Context) -> str:
-        run = run_of(active_body(context))
-        report = run / "report.html"
-        if report.exists():
-            return _open(report)
-        ended = lambda job: _open(report) if report.exists() else None
-        return "Making the report" + run_cloak("Report", ("report", run), runs.side_folder(run), "report", ended)
+    run = run_of(active_body(context))
+    report = run / "report.html"
+    if report.exists():
+        return _open(report)
+    ended = lambda job: _open(report) if report.exists() else None
+    return "Making the report" + run_cloak("Report", ("report", run), runs.side_folder(run), "report", ended)
 
 
 def _open(report: Path) -> str:
@@ -152,27 +137,29 @@ def _open(report: Path) -> str:
 # --- cloths that were not trained here: a picture is worn as what a training would have left --------------------------
 
 
-class CLOAK_OT_cloth_picture(CloakOperator, ImportHelper, label="Picture as Cloth"):
+def cloth_reason(context: bpy.types.Context) -> str:
+    """Why no picture can be worn."""
+    return logo_reason(context) or poses_reason(context, PoseChoice())
+
+
+@operator(
+    "Picture as Cloth",
+    cloth_reason,
+    undo=True,
+    reads=".png;*.jpg;*.jpeg;*.webp",
+    width=props.number("Width", "After how many metres it repeats", 0.25, min=0.01, max=10.0),
+)
+def cloth_picture(context: bpy.types.Context, filepath: str, width: float) -> str:
     """Wear a picture as cloth that repeats, on the active logo: to compare it with what was trained"""
-
-    bl_options = WITH_UNDO
-    filter_glob: StringProperty(default="*.png;*.jpg;*.jpeg;*.webp", options={"HIDDEN"})
-    width: props.number("Width", "After how many metres it repeats", 0.25, min=0.01, max=10.0)
-
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return logo_reason(context) or poses_reason(context, PoseChoice())
-
-    def run(self, context: bpy.types.Context) -> str:
-        obj, logo, path = active_body(context), active_logo(active_body(context)), Path(self.filepath)
-        if obj.mode == "EDIT":
-            bpy.ops.object.mode_set(mode="OBJECT")
-        run = runs.new_run(output_folder(context.scene.cloak), obj.name, path.stem)
-        pixels = read_picture(path)[..., :3]
-        pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
-        done = export(context, obj, logo, PoseChoice(), runs.input_folder(run))
-        write_run(run, done, pixels, self.width, obj.cloak.made_from)
-        return runs.wear_run(context, obj, run)
+    obj, logo, path = active_body(context), active_logo(active_body(context)), Path(filepath)
+    if obj.mode == "EDIT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    run = runs.new_run(output_folder(context.scene.cloak), obj.name, path.stem)
+    pixels = read_picture(path)[..., :3]
+    pixels = np.repeat(pixels, 3, -1) if pixels.shape[-1] < 3 else pixels
+    done = export(context, obj, logo, PoseChoice(), runs.input_folder(run))
+    write_run(run, done, pixels, width, obj.cloak.made_from)
+    return runs.wear_run(context, obj, run)
 
 
 def write_run(run: Path, done: Export, pixels: np.ndarray, metres: float, made_from: str) -> None:
@@ -214,26 +201,26 @@ def ready_cloth(obj: bpy.types.Object) -> bpy.types.Material | None:
     return next((material for material in shown if material and METRES in material and cloth_of(material)), None)
 
 
-class CLOAK_OT_lay_cloth(BodyOperator, label="Lay Cloth at True Size"):
+@of_the_body
+def ready_cloth_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there is no cloth to lay."""
+    if ready_cloth(obj) is None:
+        return "Give the body a cloth first: drag one from the Asset Browser, library Cloak, onto it"
+    return mode_reason(obj, "Leave {mode} to lay the cloth")
+
+
+@operator("Lay Cloth at True Size", ready_cloth_reason)
+def lay_cloth(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Make the UV map of the ready cloths, on which they are as large as they are printed: front, back \
 and sides are projected, as the trainer lays a cloth"""
-
-    @staticmethod
-    @of_the_body
-    def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        if ready_cloth(obj) is None:
-            return "Give the body a cloth first: drag one from the Asset Browser, library Cloak, onto it"
-        return mode_reason(obj, "Leave {mode} to lay the cloth")
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        material = ready_cloth(obj)
-        image, metres = cloth_of(material), material[METRES]
-        bodies = first_pose(obj, None)
-        name = lay_uv(obj, READY_CLOTH, corner_uv(bodies, metres, metres * image.size[1] / image.size[0]))
-        for node in material.node_tree.nodes:
-            if node.bl_idname == "ShaderNodeUVMap":
-                node.uv_map = name  # numbered where the user has one of its name
-        return f"'{material.name}' repeats every {metres:g} m on '{obj.name}'"
+    material = ready_cloth(obj)
+    image, metres = cloth_of(material), material[METRES]
+    bodies = first_pose(obj, None)
+    name = lay_uv(obj, READY_CLOTH, corner_uv(bodies, metres, metres * image.size[1] / image.size[0]))
+    for node in material.node_tree.nodes:
+        if node.bl_idname == "ShaderNodeUVMap":
+            node.uv_map = name  # numbered where the user has one of its name
+    return f"'{material.name}' repeats every {metres:g} m on '{obj.name}'"
 
 
 def _ours() -> list[bpy.types.UserAssetLibrary]:

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.props import StringProperty
-from bpy_extras.io_utils import ExportHelper
 
 from ..blender import colors
 from ..blender.blend_paths import first_free
@@ -21,9 +19,9 @@ from ..trainer.jobs import run_cloak
 from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
-from ..ui.bases import BodyOperator, CloakOperator
+from ..ui.bases import operator
 from ..ui.window import progress_cursor
-from . import bake
+from . import bake as baking
 from .evaluations import export_worn, judged_reason
 from .viewpoints import of_camera
 
@@ -70,47 +68,44 @@ def film_reason(context: bpy.types.Context) -> str:
     return judged_reason(context) or poses_reason(context, PoseChoice())
 
 
-class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reason, trains=True):
+@operator("Print Sheets", film_reason, trains=True)
+def print_sheets(context: bpy.types.Context) -> str:
     """Lay the logo out flat at true size: sheets to print and cut (PDF), a texture, and the body with it (GLB, OBJ)"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        obj = active_body(context)
-        run = run_of(obj)
-        place, scene = first_free(side_folder(run), SHEETS), input_folder(run) / "scene"
-        if not scene.is_dir():  # a run of the command line
-            scene = side_folder(run) / "print scene"
-            export_worn(context, obj, run, PoseChoice(), scene)
-        words = ("print", run, "--scene", scene, "--out", place)
-        waits = run_cloak(self.bl_label, words, side_folder(run), "print", lambda job: f"Wrote {place.name}")
-        return f"Laying the logo out in {place}{waits}"
+    obj = active_body(context)
+    run = run_of(obj)
+    place, scene = first_free(side_folder(run), SHEETS), input_folder(run) / "scene"
+    if not scene.is_dir():  # a run of the command line
+        scene = side_folder(run) / "print scene"
+        export_worn(context, obj, run, PoseChoice(), scene)
+    words, ended = ("print", run, "--scene", scene, "--out", place), lambda job: f"Wrote {place.name}"
+    return f"Laying the logo out in {place}" + run_cloak("Print Sheets", words, side_folder(run), "print", ended)
 
 
-class CLOAK_OT_turntable(CloakOperator, label="Turntable", needs=film_reason, trains=True):
+@operator("Turntable", film_reason, trains=True)
+def turntable(context: bpy.types.Context) -> str:
     """Film the body as it stands from all around, in own clothing and in the cloak, with what the detector sees"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        seconds = context.scene.cloak.judging.film_seconds
-        return film(context, self.bl_label, TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"], PoseChoice())
+    seconds = context.scene.cloak.judging.film_seconds
+    return make_film(context, "Turntable", TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"], PoseChoice())
 
 
-class CLOAK_OT_film(CloakOperator, label="Film with Camera", trains=True):
+def camera_reason(context: bpy.types.Context) -> str:
+    """Why the scene's camera cannot film the body."""
+    return film_reason(context) or refusal(of_camera, context.scene, active_body(context))
+
+
+@operator("Film with Camera", camera_reason, trains=True)
+def film(context: bpy.types.Context) -> str:
     """Film the body along the way of the scene's camera, over the scene's frames, in own clothing and in the cloak, \
 with what the detector sees. The camera looks at the middle of the body, which with Poses > Current Pose stands still"""
-
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return film_reason(context) or refusal(of_camera, context.scene, active_body(context))
-
-    def run(self, context: bpy.types.Context) -> str:
-        obj, scene = active_body(context), context.scene
-        choice, options = PoseChoice(), [f"--field-of-view={of_camera(scene, obj).field_of_view:.4f}"]
-        if scene.cloak.pose_source != "CURRENT":
-            choice = PoseChoice("RANGE", scene.frame_start, scene.frame_end, 1)
-            options.append(f"--poses-per-second={scene.render.fps / scene.render.fps_base:g}")
-        return film(context, self.bl_label, FILM, options, choice)
+    obj, scene = active_body(context), context.scene
+    choice, options = PoseChoice(), [f"--field-of-view={of_camera(scene, obj).field_of_view:.4f}"]
+    if scene.cloak.pose_source != "CURRENT":
+        choice = PoseChoice("RANGE", scene.frame_start, scene.frame_end, 1)
+        options.append(f"--poses-per-second={scene.render.fps / scene.render.fps_base:g}")
+    return make_film(context, "Film with Camera", FILM, options, choice)
 
 
-def film(context: bpy.types.Context, label: str, name: str, options: list[str], choice: PoseChoice) -> str:
+def make_film(context: bpy.types.Context, label: str, name: str, options: list[str], choice: PoseChoice) -> str:
     """Export the poses and film them; by the scene's camera where the options name none."""
     obj, settings = active_body(context), context.scene.cloak
     run = run_of(obj)
@@ -133,61 +128,54 @@ def film(context: bpy.types.Context, label: str, name: str, options: list[str], 
     return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: f"Wrote {place.name}", True)
 
 
-class CLOAK_OT_bake(BodyOperator, label="Bake to Image"):
+SIZE = props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
+
+
+@of_the_body
+def bake_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there are no colours to bake."""
+    return "" if layer_name(obj.data, COLORS) else "Train, or load colours, first"
+
+
+@operator("Bake to Image", bake_reason, size=SIZE)
+def bake(context: bpy.types.Context, obj: bpy.types.Object, size: int) -> str:
     """Bake the trained colours to an image and make a material of it that is an asset. Where the body has no UV map, \
 or one with too little room, Cloak makes one of its own"""
-
-    size: props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
-
-    @staticmethod
-    @of_the_body
-    def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        return "" if layer_name(obj.data, COLORS) else "Train, or load colours, first"
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        done = bake.bake(obj, self.size)
-        material = bake.baked_material(done.image, done.uv_map)
-        faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
-        made = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
-        return made if done.off_before is None else f"{made} ({done.off_before:,} on the body's own map)"
+    done = baking.bake(obj, size)
+    material = baking.baked_material(done.image, done.uv_map)
+    faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
+    told = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
+    return told if done.off_before is None else f"{told} ({done.off_before:,} on the body's own map)"
 
 
-class CLOAK_OT_export_glb(CloakOperator, ExportHelper, label="Export GLB", needs=CLOAK_OT_bake.needs):
+@operator("Export GLB", bake_reason, writes=".glb", size=SIZE)
+def export_glb(context: bpy.types.Context, filepath: str, size: int) -> str:
     """Bake the trained colours and write the body with what it wears as a GLB, for programs that know images alone"""
-
-    filename_ext = ".glb"
-    filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
-    size: props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
-
-    def run(self, context: bpy.types.Context) -> str:
-        obj, chosen = active_body(context), list(context.selected_objects)
-        with progress_cursor():
-            copies = [bake.baked_copy(one, self.size) for one in (obj, *worn_by(obj))]
-        try:
-            for one in context.view_layer.objects:
-                one.select_set(one in copies)
-            with written(self.filepath):
-                bpy.ops.export_scene.gltf(filepath=self.filepath, export_format="GLB", use_selection=True)
-        except RuntimeError as error:
-            raise InputError(f"{self.filepath}: cannot be exported ({str(error).strip()})") from None
-        finally:
-            shown = [material for copy in copies for material in copy.data.materials if colors.is_cloak(material)]
-            bpy.data.batch_remove([*copies, *(copy.data for copy in copies)])
-            bpy.data.batch_remove([material for material in set(shown) if not material.users])
-            for one in chosen:
-                one.select_set(True)
-            context.view_layer.objects.active = obj
-        return f"Wrote {self.filepath}"
+    obj, chosen = active_body(context), list(context.selected_objects)
+    with progress_cursor():
+        copies = [baking.baked_copy(one, size) for one in (obj, *worn_by(obj))]
+    try:
+        for one in context.view_layer.objects:
+            one.select_set(one in copies)
+        with written(filepath):
+            bpy.ops.export_scene.gltf(filepath=filepath, export_format="GLB", use_selection=True)
+    except RuntimeError as error:
+        raise InputError(f"{filepath}: cannot be exported ({str(error).strip()})") from None
+    finally:
+        shown = [material for copy in copies for material in copy.data.materials if colors.is_cloak(material)]
+        bpy.data.batch_remove([*copies, *(copy.data for copy in copies)])
+        bpy.data.batch_remove([material for material in set(shown) if not material.users])
+        for one in chosen:
+            one.select_set(True)
+        context.view_layer.objects.active = obj
+    return f"Wrote {filepath}"
 
 
-class CLOAK_OT_show_made(CloakOperator, label="Open"):
+@operator("Open", path=props.text("Path", "What to open"))
+def show_made(context: bpy.types.Context, path: str) -> str:
     """Open it with the program that the system has for it"""
-
-    path: props.text("Path", "What to open")
-
-    def run(self, context: bpy.types.Context) -> str:
-        if not Path(self.path).exists():
-            raise InputError(f"{self.path} is gone")
-        if not bpy.app.background:
-            bpy.ops.wm.path_open(filepath=self.path)
-        return f"Opened {self.path}"
+    if not Path(path).exists():
+        raise InputError(f"{path} is gone")
+    if not bpy.app.background:
+        bpy.ops.wm.path_open(filepath=path)
+    return f"Opened {path}"

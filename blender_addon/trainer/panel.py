@@ -10,7 +10,7 @@ from ..files.specs import reach
 from ..session import session
 from ..translations import said
 from ..ui import props
-from ..ui.bases import CloakOperator, CloakPanel, figure, wrapped
+from ..ui.bases import CloakOperator, CloakPanel, figure, operator, wrapped
 from ..ui.window import tool_at_work
 from .jobs import Job, TrainingJob, last_words, launch
 from .program import PACKAGE, allow, cloak_command, install_line, preferences, trainer, trainer_reason, user_folder
@@ -22,35 +22,33 @@ FIGURES = (
 )
 
 
-class CLOAK_OT_test_trainer(CloakOperator, label="Test Trainer"):
+@operator("Test Trainer")
+def test_trainer(context: bpy.types.Context) -> str:
     """Start the trainer and show its version and device"""
+    command = cloak_command(trainer(), "setup")
+    preferences().answer = "Starting the trainer..."
 
-    def run(self, context: bpy.types.Context) -> str:
-        command = cloak_command(trainer(), "setup")
-        preferences().answer = "Starting the trainer..."
+    def ended(job: Job) -> str:
+        try:
+            record = json.loads(job.outputs[-1]) if job.state == "done" else {}
+            answer = "Cloak {cloak}, torch {torch}, Python {python}, {device}".format(**record)
+        except (ValueError, KeyError, TypeError, IndexError):
+            answer = f"The trainer does not work: {last_words(job.log) or 'no answer'}"
+            job.state = "failed"
+        preferences().answer = answer
+        return answer
 
-        def ended(job: Job) -> str:
-            try:
-                record = json.loads(job.outputs[-1]) if job.state == "done" else {}
-                answer = "Cloak {cloak}, torch {torch}, Python {python}, {device}".format(**record)
-            except (ValueError, KeyError, TypeError, IndexError):
-                answer = f"The trainer does not work: {last_words(job.log) or 'no answer'}"
-                job.state = "failed"
-            preferences().answer = answer
-            return answer
-
-        job = Job("Test", [command], user_folder("test"), "test", ended)
-        job.lane = "Test"
-        launch(job)
-        return "Testing the trainer: the answer appears in the preferences"
+    job = Job("Test", [command], user_folder("test"), "test", ended)
+    job.lane = "Test"
+    launch(job)
+    return "Testing the trainer: the answer appears in the preferences"
 
 
-class CLOAK_OT_copy_install_line(CloakOperator, label="Copy Installation Line"):
+@operator("Copy Installation Line")
+def copy_install_line(context: bpy.types.Context) -> str:
     """Copy the line that installs the trainer to the clipboard"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        context.window_manager.clipboard = install_line(preferences().wheel)
-        return "Copied: paste it into a terminal"
+    context.window_manager.clipboard = install_line(preferences().wheel)
+    return "Copied: paste it into a terminal"
 
 
 class CLOAK_OT_allow(CloakOperator, label="Use What This File Names"):

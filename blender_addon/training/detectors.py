@@ -9,7 +9,6 @@ from pathlib import Path
 
 import bpy
 from bpy.props import CollectionProperty, StringProperty
-from bpy_extras.io_utils import ImportHelper
 
 from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
@@ -17,7 +16,7 @@ from ..trainer.jobs import Job, launch, waits
 from ..trainer.program import allow, cloak_command, trainer, user_folder
 from ..trainer.progress import finite
 from ..ui import props
-from ..ui.bases import WITH_UNDO, CloakOperator, push_undo
+from ..ui.bases import operator, push_undo
 
 BUILTIN = "builtin"
 FAMILIES = {
@@ -172,60 +171,53 @@ def add_file(settings: bpy.types.PropertyGroup, path: Path) -> CloakDetector:
     return added
 
 
-class CLOAK_OT_detector_add(CloakOperator, ImportHelper, label="Add Detector"):
+@operator(
+    "Add Detector",
+    undo=True,
+    reads=";*".join((*FAMILIES, ".weights")),
+    files=CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}),
+    directory=StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"}),
+)
+def detector_add(context: bpy.types.Context, filepath: str, directory: str, files: object) -> str:
     """Add a detector by its file: ONNX, ultralytics, OpenVINO, TFLite, Darknet, or Python. It is checked at once"""
-
-    filter_glob: StringProperty(default=";".join(f"*{s}" for s in (*FAMILIES, ".weights")), options={"HIDDEN"})
-    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
-    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
-    bl_options = WITH_UNDO
-
-    def run(self, context: bpy.types.Context) -> str:
-        paths = [Path(self.directory, entry.name) for entry in self.files if entry.name] or [Path(self.filepath)]
-        for path in paths:
-            if not path.is_file():
-                raise InputError(f"{path} does not exist")
-            check(add_file(context.scene.cloak, path))
-        return f"Checking {', '.join(path.name for path in paths)}"
+    paths = [Path(directory, entry.name) for entry in files if entry.name] or [Path(filepath)]
+    for path in paths:
+        if not path.is_file():
+            raise InputError(f"{path} does not exist")
+        check(add_file(context.scene.cloak, path))
+    return f"Checking {', '.join(path.name for path in paths)}"
 
 
-class CLOAK_OT_detector_add_named(CloakOperator, label="Add by Name"):
+@operator("Add by Name", undo=True, spec=props.text("Name", "As the command line names it", BUILTIN))
+def detector_add_named(context: bpy.types.Context, spec: str) -> str:
     """Add a detector that has no file: the built-in one, or another that the command line names"""
-
-    spec: props.text("Name", "As the command line names it", BUILTIN)
-    bl_options = WITH_UNDO
-
-    def run(self, context: bpy.types.Context) -> str:
-        settings = context.scene.cloak
-        settings.detectors.add().spec = self.spec.strip() or BUILTIN
-        settings.detector_index = len(settings.detectors) - 1
-        check(settings.detectors[-1])
-        return f"Checking {self.spec}"
+    settings = context.scene.cloak
+    settings.detectors.add().spec = spec.strip() or BUILTIN
+    settings.detector_index = len(settings.detectors) - 1
+    check(settings.detectors[-1])
+    return f"Checking {spec}"
 
 
-class CLOAK_OT_detector_remove(CloakOperator, label="Remove Detector"):
+def detector_reason(context: bpy.types.Context) -> str:
+    """Why there is no chosen detector."""
+    return "" if active_detector(context.scene.cloak) else "Choose a detector in the list first"
+
+
+@operator("Remove Detector", detector_reason, undo=True)
+def detector_remove(context: bpy.types.Context) -> str:
     """Take the chosen detector out of the list; an empty list is the built-in detector"""
-
-    bl_options = WITH_UNDO
-
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return "" if active_detector(context.scene.cloak) else "Choose a detector in the list first"
-
-    def run(self, context: bpy.types.Context) -> str:
-        settings = context.scene.cloak
-        title = active_detector(settings).title
-        settings.detectors.remove(settings.detector_index)
-        settings.detector_index = max(0, settings.detector_index - 1)
-        return f"{title} is not used any more"
+    settings = context.scene.cloak
+    title = active_detector(settings).title
+    settings.detectors.remove(settings.detector_index)
+    settings.detector_index = max(0, settings.detector_index - 1)
+    return f"{title} is not used any more"
 
 
-class CLOAK_OT_detector_check(CloakOperator, label="Check", needs=CLOAK_OT_detector_remove.needs, trains=True):
+@operator("Check", detector_reason, trains=True)
+def detector_check(context: bpy.types.Context) -> str:
     """Let the trainer load the chosen detector, compare it with its own runtime and say what it reports from"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        detector = active_detector(context.scene.cloak)
-        return f"Checking {detector.title}{check(detector)}"
+    detector = active_detector(context.scene.cloak)
+    return f"Checking {detector.title}{check(detector)}"
 
 
 def check(detector: CloakDetector) -> str:

@@ -17,7 +17,7 @@ from ..session import session
 from ..trainer.jobs import Job, TrainingJob, launch, waits
 from ..trainer.program import differing_options, require, train_command, trainer
 from ..ui import props
-from ..ui.bases import WITH_UNDO, CloakOperator
+from ..ui.bases import operator
 from . import run_list, runs
 from .run_list import DONE, RUNNING, FoundTrainer, RunState, read_state
 from .runs import run_of
@@ -73,19 +73,17 @@ def run_reason(context: bpy.types.Context, action: str) -> str:
     return "" if colored else f"{state.title} has no colours yet"
 
 
-class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason, trains=True):
+@operator("Start", train_reason, trains=True)
+def train_start(context: bpy.types.Context) -> str:
     """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        return start(context)
+    return start(context)
 
 
-class CLOAK_OT_train_extend(CloakOperator, label="Extend", needs=partial(run_reason, action="extended"), trains=True):
+@operator("Extend", partial(run_reason, action="extended"), trains=True)
+def train_extend(context: bpy.types.Context) -> str:
     """Train on from the colours of the chosen run, with the settings above, in a new run: for more steps, another \
 detector or other angles. The run itself stays as it is"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        return start(context, selected_run(context))
+    return start(context, selected_run(context))
 
 
 def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
@@ -115,52 +113,48 @@ ANGLES = {"FRONT": (-10, 10, 5), "HALF": (-90, 90, 15), "AROUND": (-180, 165, 15
 """First, last and step of the presets, degrees."""
 
 
-class CLOAK_OT_set_angles(CloakOperator, label="Set Angles"):
-    """Set the training's angles"""
-
-    bl_options = WITH_UNDO
-
-    angles: props.choice(
+@operator(
+    "Set Angles",
+    undo=True,
+    angles=props.choice(
         "Angles",
         "Which azimuths to train at",
         ("FRONT", "Front", "The front, as in the paper: -10 to 10 degrees"),
         ("HALF", "Half Around", "Front and both sides: -90 to 90 degrees"),
         ("AROUND", "All Around", "From everywhere: -180 to 165 degrees"),
-    )
+    ),
+)
+def set_angles(context: bpy.types.Context, angles: str) -> str:
+    """Set the training's angles"""
+    settings = context.scene.cloak
+    settings.angle_first, settings.angle_last, settings.angle_step = ANGLES[angles]
+    return ""
 
-    def run(self, context: bpy.types.Context) -> str:
-        settings = context.scene.cloak
-        settings.angle_first, settings.angle_last, settings.angle_step = ANGLES[self.angles]
-        return ""
+
+def cancel_reason(context: bpy.types.Context) -> str:
+    """Why nothing can be cancelled."""
+    return "" if any(job.active for job in session.jobs) else "Nothing is running"
 
 
-class CLOAK_OT_train_cancel(CloakOperator, label="Cancel"):
+@operator("Cancel", cancel_reason, number=props.whole("Job", "Its place in the queue; -1: the one that runs", -1))
+def train_cancel(context: bpy.types.Context, number: int) -> str:
     """End the job; a training ends after the current step and can be resumed"""
-
-    number: props.whole("Job", "Its place in the queue; -1: the one that runs", -1)
-
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return "" if any(job.active for job in session.jobs) else "Nothing is running"
-
-    def run(self, context: bpy.types.Context) -> str:
-        job = session.jobs[self.number] if 0 <= self.number < len(session.jobs) else session.job
-        if job is None or not job.active:
-            raise InputError("Nothing is running")
-        job.cancel()
-        return f"Stopping: {job.label}"
+    job = session.jobs[number] if 0 <= number < len(session.jobs) else session.job
+    if job is None or not job.active:
+        raise InputError("Nothing is running")
+    job.cancel()
+    return f"Stopping: {job.label}"
 
 
-class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=partial(run_reason, action="resumed"), trains=True):
+@operator("Resume", partial(run_reason, action="resumed"), trains=True)
+def train_resume(context: bpy.types.Context) -> str:
     """Go on with the chosen run from its last checkpoint to its last step, with what it was started with"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        obj, state = active_body(context), selected_run(context)
-        done = read_export(runs.input_folder(state.path))
-        kept = kept_reason(context)
-        command = train_command(trainer(), list(state.options), done.scene, done.face_list, state.path)
-        follow(obj, TrainingJob([*command, "--resume"], state.path, done.folder))
-        return kept or f"Resuming {state.path}"
+    obj, state = active_body(context), selected_run(context)
+    done = read_export(runs.input_folder(state.path))
+    kept = kept_reason(context)
+    command = train_command(trainer(), list(state.options), done.scene, done.face_list, state.path)
+    follow(obj, TrainingJob([*command, "--resume"], state.path, done.folder))
+    return kept or f"Resuming {state.path}"
 
 
 def follow(obj: bpy.types.Object, job: TrainingJob) -> None:
@@ -177,45 +171,39 @@ def follow(obj: bpy.types.Object, job: TrainingJob) -> None:
     run_list.refresh(bpy.context)
 
 
-class CLOAK_OT_run_attach(CloakOperator, label="Attach", needs=partial(run_reason, action="followed")):
+@operator("Attach", partial(run_reason, action="followed"))
+def run_attach(context: bpy.types.Context) -> str:
     """Follow a training that this Blender did not start, or lost in a crash: its progress in the panel, its colours \
 on the body. When Blender closes it goes on"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        run = selected_run(context).path
-        obj = runs.body_of(run, runs.trained_faces(run)[1])
-        if obj is None:
-            raise InputError(f"No body of this file has the faces that {run.name} is trained on: open its own file")
-        context.view_layer.objects.active = obj
-        follow(obj, TrainingJob([], run, runs.side_folder(run), FoundTrainer(run)))
-        return f"Following {run.name}"
+    run = selected_run(context).path
+    obj = runs.body_of(run, runs.trained_faces(run)[1])
+    if obj is None:
+        raise InputError(f"No body of this file has the faces that {run.name} is trained on: open its own file")
+    context.view_layer.objects.active = obj
+    follow(obj, TrainingJob([], run, runs.side_folder(run), FoundTrainer(run)))
+    return f"Following {run.name}"
 
 
-class CLOAK_OT_run_stop(CloakOperator, label="Stop", needs=partial(run_reason, action="stopped")):
+@operator("Stop", partial(run_reason, action="stopped"))
+def run_stop(context: bpy.types.Context) -> str:
     """End the training of the chosen run after its current step, whoever started it; Resume goes on with it"""
-
-    def run(self, context: bpy.types.Context) -> str:
-        run = selected_run(context).path
-        if job := session.training_of(run):
-            job.cancel()
-        else:
-            with written(run / "cancel"):
-                (run / "cancel").touch()
-        return f"Stopping {run.name} after its current step"
+    run = selected_run(context).path
+    if job := session.training_of(run):
+        job.cancel()
+    else:
+        with written(run / "cancel"):
+            (run / "cancel").touch()
+    return f"Stopping {run.name} after its current step"
 
 
-class CLOAK_OT_run_delete(CloakOperator, label="Delete Run", needs=partial(run_reason, action="deleted")):
+@operator("Delete Run", partial(run_reason, action="deleted"), confirm=True)
+def run_delete(context: bpy.types.Context) -> str:
     """Delete the folders of the chosen run from the disk; bodies keep the colours they wear. This cannot be undone"""
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return context.window_manager.invoke_confirm(self, event)
-
-    def run(self, context: bpy.types.Context) -> str:
-        run = selected_run(context).path
-        runs.remove(run)
-        for obj in bpy.data.objects:
-            if run_of(obj) == run:
-                obj.cloak.run = ""
-        run_list.select(context, None)
-        run_list.refresh(context)
-        return f"Deleted {run}"
+    run = selected_run(context).path
+    runs.remove(run)
+    for obj in bpy.data.objects:
+        if run_of(obj) == run:
+            obj.cloak.run = ""
+    run_list.select(context, None)
+    run_list.refresh(context)
+    return f"Deleted {run}"

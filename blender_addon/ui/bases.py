@@ -4,11 +4,15 @@
 Of operators: `InputError` becomes a message in the status bar, and nothing else has happened.
 """
 
+import inspect
 import textwrap
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import blf
 import bpy
+from bpy.props import StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..body.objects import NO_BODY, active_body, body_reason
 from ..files.errors import InputError
@@ -17,14 +21,13 @@ from ..trainer.program import Unasked, trainer_reason
 from ..translations import said
 from .window import in_window, progress_cursor
 
-PLAIN = {"REGISTER"}
 WITH_UNDO = {"REGISTER", "UNDO"}  # of operators that change the mesh and have ended when they return
 
 
 class CloakOperator(bpy.types.Operator):
     """Base: `run(context)` does the work and returns what to say, "" for nothing. CLOAK_OT_x is `bpy.ops.cloak.x`."""
 
-    bl_options = PLAIN
+    bl_options = {"REGISTER"}  # noqa: RUF012
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -38,14 +41,12 @@ class CloakOperator(bpy.types.Operator):
             cls.poll_message_set(said(reason))
         return not reason
 
-    trains = False  # whether it needs the trainer
-    told_by = ""  # the property by which its buttons differ, and so do their tooltips
-
     def __init_subclass__(
-        cls, label: str = "", needs: Callable[[bpy.types.Context], str] | None = None, **known: bool | str
+        cls, label: str = "", needs: Callable | None = None, trains: bool = False, told_by: str = ""
     ) -> None:
+        """trains: it needs the trainer. told_by: the property by which its buttons, and so their tooltips, differ."""
         cls.bl_idname, cls.bl_label = "cloak." + cls.__name__.removeprefix("CLOAK_OT_"), label
-        cls.trains, cls.told_by = known.get("trains", cls.trains), known.get("told_by", cls.told_by)
+        cls.trains, cls.told_by = trains, told_by
         if needs is not None:
             cls.needs = staticmethod(needs)
 
@@ -55,7 +56,9 @@ class CloakOperator(bpy.types.Operator):
         if not cls.told_by or not (value := getattr(properties, cls.told_by)):
             return ""
         declared = properties.bl_rna.properties[cls.told_by]
-        return said(declared.enum_items[value].description if declared.type == "ENUM" else declared.description)
+        if declared.type == "ENUM":
+            return said(declared.enum_items[value].description)
+        return said(value if declared.type == "STRING" else declared.description)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.attempt(self.run, context)
@@ -78,21 +81,47 @@ class CloakOperator(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class BodyOperator(CloakOperator):
-    """Base of operators that change the active body: `change(context, obj)` does the work and returns what to say.
+def operator(
+    label: str,
+    needs: Callable[[bpy.types.Context], str] | None = None,
+    undo: bool = False,
+    reads: str = "",
+    writes: str = "",
+    confirm: bool = False,
+    told_by: str = "",
+    trains: bool = False,
+    **properties: object,
+) -> Callable[[Callable[..., str]], Callable[..., str]]:
+    """Make the operator `bpy.ops.cloak.NAME` of a function NAME; its docstring is the tooltip, it returns what to say.
 
-    What may take longer calls `show_progress`: the mouse pointer counts up.
+    The function gets the context, the properties by their names, and as `obj` the active body: then it changes the
+    body, can be undone, and may call `show_progress`, by which the mouse pointer counts up.
+    reads, writes: suffixes of the files that Blender's browser shows first; `filepath` is a property then.
     """
 
-    bl_options = WITH_UNDO
+    def declare(work: Callable[..., str]) -> Callable[..., str]:
+        asked = [name for name in inspect.signature(work).parameters if name != "context"]
+        changes = "obj" in asked
 
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return body_reason(context)
+        def run(self: CloakOperator, context: bpy.types.Context) -> str:
+            values = {name: active_body(context) if name == "obj" else getattr(self, name) for name in asked}
+            with progress_cursor() if changes else nullcontext():
+                return work(context, **values)
 
-    def run(self, context: bpy.types.Context) -> str:
-        with progress_cursor():
-            return self.change(context, active_body(context))
+        parts = {"__doc__": work.__doc__, "__module__": work.__module__, "__annotations__": properties, "run": run}
+        bases = (CloakOperator, *([ImportHelper] if reads else []), *([ExportHelper] if writes else []))
+        if suffix := reads or writes:
+            parts["filename_ext"] = suffix
+            properties["filter_glob"] = StringProperty(default=f"*{suffix}", options={"HIDDEN"})
+        if undo or changes:
+            parts["bl_options"] = WITH_UNDO
+        if confirm:
+            parts["invoke"] = lambda self, context, event: context.window_manager.invoke_confirm(self, event)
+        known = {"needs": needs or (body_reason if changes else None), "trains": trains, "told_by": told_by}
+        work.operator = type(f"CLOAK_OT_{work.__name__}", bases, parts, label=label, **known)
+        return work
+
+    return declare
 
 
 def push_undo(message: str) -> None:

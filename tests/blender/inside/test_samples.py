@@ -13,7 +13,7 @@ from cloak.exchange.scenes import read_scene
 from cloak.logo import operators as heat
 from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
-from cloak.result.judging import CLOAK_OT_render_check
+from cloak.result.judging import check_reason
 from made import made_run
 
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]], np.int32)
@@ -87,7 +87,7 @@ def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):
     shirt = bpy.data.objects["Shirt"]
     assert garments.is_dressed(clothed) and not colors.is_dressed(clothed)
     assert np.allclose(colors.written_colors(shirt), 0.75, atol=1e-5)
-    assert not CLOAK_OT_render_check.needs(bpy.context)
+    assert not check_reason(bpy.context)
     heat.show_heat(clothed, np.linspace(0, 1, 6))
     bpy.ops.cloak.heatmap_toggle()
     assert clothed.data.color_attributes.active_color_name == "cloak.colors", "what its clothing wears is shown again"

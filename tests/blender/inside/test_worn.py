@@ -12,7 +12,7 @@ from cloak.poses import export as scene_export
 from cloak.poses.export import export_summary
 from cloak.poses.poses import PoseChoice
 from cloak.result.evaluations import export_worn, judged_reason
-from cloak.result.judging import CLOAK_OT_render_check
+from cloak.result.judging import check_reason
 from cloak.training import runs
 from conftest import folder_of, run_job
 from made import centers, make_egg
@@ -80,10 +80,10 @@ def test_training_and_judging_see_the_same_pieces_or_say_which_differs(chest):
     run = folder_of(chest)
     bodies = export_worn(bpy.context, chest, run, PoseChoice(), run.parent / "seen")
     assert bodies.face_count == len(chest.data.polygons) + len(shirt.data.polygons)
-    assert judged_reason(bpy.context) == CLOAK_OT_render_check.needs(bpy.context) == ""
+    assert judged_reason(bpy.context) == check_reason(bpy.context) == ""
     shirt.hide_set(True)
     assert "was trained with 'Shirt': show it again, or train again" in judged_reason(bpy.context)
-    assert judged_reason(bpy.context) == CLOAK_OT_render_check.needs(bpy.context)
+    assert judged_reason(bpy.context) == check_reason(bpy.context)
     shirt.hide_set(False)
     add_shirt(chest, name="Coat")
     assert "was trained without 'Coat': leave it out" in judged_reason(bpy.context)
