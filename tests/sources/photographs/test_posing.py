@@ -88,6 +88,13 @@ def test_arms_out_of_sight_hang_behind_and_those_that_cross_the_trunk_lie_before
         and wrist[1] < elbow[1]
     )
     assert elbow[2] == pytest.approx(-0.25 * found.scale) == wrist[2]
+    for azimuth in (20, -20):
+        bent = landmarks_of(standing(azimuth), RIG)[INDEX["l_elbow"]] + [0, -10, 40]
+        hardly = landmarks(standing(azimuth), {"l_wrist": bent}, depth=True)
+        hardly.visibility[INDEX["l_wrist"]] = 0.3
+        found = pose_to(hardly, RIG)
+        behind = min(joint(found, f"{side}_hip", f"{side}_thigh")[2] for side in "lr") - 0.25 * found.scale
+        assert joint(found, "l_wrist", "l_forearm")[2] == pytest.approx(behind, abs=0.5), "before her, but not shown"
     for azimuth, depth in ((0, 0.16), (180, -0.2)):
         at = landmarks_of(standing(azimuth), RIG)[:, :2]
         across = (
@@ -95,6 +102,41 @@ def test_arms_out_of_sight_hang_behind_and_those_that_cross_the_trunk_lie_before
         )  # too far for a forearm to lean
         crossing = pose_to(landmarks(standing(azimuth), {"l_wrist": across}), RIG)
         assert joint(crossing, "l_wrist", "l_forearm")[2] == pytest.approx(depth * crossing.scale)
+
+
+def test_a_limb_turns_from_its_parent_by_the_smallest_turn() -> None:
+    """The trunk is twisted, an arm and a thigh are raised, elbow and knee are bent: none of them adds a twist."""
+    true = standing()
+    at = landmarks_of(true, RIG) * [1, -1, 1]
+    middle = (at[INDEX["l_shoulder"]] + at[INDEX["r_shoulder"]]) / 2
+    half = np.array([np.cos(0.7), 0, np.sin(0.7)]) * np.linalg.norm(at[INDEX["l_shoulder"]] - middle)
+    moved = {"l_shoulder": middle + half, "r_shoulder": middle - half, "l_hip": at[INDEX["l_hip"]]}
+    for start, end, direction in (
+        ("l_shoulder", "l_elbow", (0.8, 0.4, 0.447)),
+        ("l_elbow", "l_wrist", (-0.3, 0.6, 0.742)),
+        ("l_hip", "l_knee", (0.5, -0.3, 0.812)),
+        ("l_knee", "l_ankle", (-0.4, -0.9, -0.173)),
+    ):
+        moved[end] = moved[start] + np.array(direction) * np.linalg.norm(RIG.joints[end] - RIG.joints[start]) * SCALE
+    found = pose_to(landmarks(true, {name: place * [1, -1, 1] for name, place in moved.items()}, depth=True), RIG)
+
+    def turn_of(segment: str) -> np.ndarray:
+        u, _, v = np.linalg.svd(found.transforms[NUMBER[segment], :, :3])
+        return u @ v
+
+    for segment, parent, start, end in (
+        ("l_arm", "chest", "l_shoulder", "l_elbow"),
+        ("l_forearm", "l_arm", "l_elbow", "l_wrist"),
+        ("l_thigh", "pelvis", "l_hip", "l_knee"),
+        ("l_shin", "l_thigh", "l_knee", "l_ankle"),
+    ):
+        relative = turn_of(segment) @ turn_of(parent).T
+        axis = np.array(
+            [relative[2, 1] - relative[1, 2], relative[0, 2] - relative[2, 0], relative[1, 0] - relative[0, 1]]
+        )
+        rest = RIG.joints[end] - RIG.joints[start]
+        hanging = turn_of(parent) @ rest / np.linalg.norm(rest)
+        assert np.linalg.norm(axis) > 0.3 and abs(axis @ hanging) < 0.02, segment
 
 
 def test_widths_widen_across_a_limb_and_not_along_it() -> None:
