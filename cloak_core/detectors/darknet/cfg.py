@@ -42,10 +42,10 @@ class Section:
         """Read a comma-separated list of numbers, empty where the option is absent."""
         return [self._number(key, part, kind) for part in self.options.get(key, "").split(",") if part]
 
-    def refuse(self, *keys: str) -> None:
-        """Refuse options that change the result and are not computed here."""
+    def refuse(self, *keys: str, but: int = 0) -> None:
+        """Refuse options that change the result and are not computed here; `but` is the value that changes nothing."""
         for key in keys:
-            if self.options.get(key, "0") not in ("0", "0.0", "none"):
+            if self.options.get(key, "none") not in ("none", str(but), f"{but}.0"):
                 raise self.error(f"{key}={self.options[key]} is not supported")
 
     def _number(self, key, text, kind):

@@ -9,8 +9,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-NORMALIZATION_EPSILON = 1e-4
-
 # In place where the gradient needs only the result: every caller hands over a tensor nobody else reads.
 ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "linear": lambda x: x,
@@ -75,21 +73,21 @@ class Convolution(nn.Module):
 
 
 class MaxPool(nn.Module):
-    """[maxpool]: padding // 2 on the left and top, the rest on the right and bottom; stride 1 keeps the size."""
+    """[maxpool]: size - 1 of padding, half of it on the left and top, the rest on the right and bottom."""
 
-    def __init__(self, size: int, stride: int, padding: int) -> None:
+    def __init__(self, size: int, stride: int) -> None:
         super().__init__()
-        self.size, self.stride, self.padding = size, stride, padding
+        self.size, self.stride = size, stride
 
     def out(self, length: int) -> int:
-        return (length + self.padding - self.size) // self.stride + 1
+        return (length - 1) // self.stride + 1
 
     def forward(self, x: Tensor) -> Tensor:
-        before = self.padding // 2
+        before = (self.size - 1) // 2
         after = [(self.out(n) - 1) * self.stride + self.size - n - before for n in x.shape[-2:]]
         if before == 0 and max(after) <= 0:
             return F.max_pool2d(x, self.size, self.stride)
-        if before == after[0] == after[1] and 2 * before <= self.size:
+        if before == after[0] == after[1]:
             return F.max_pool2d(x, self.size, self.stride, before)
         x = F.pad(x, (before, after[1], before, after[0]), value=float("-inf"))
         return F.max_pool2d(x, self.size, self.stride)
@@ -104,26 +102,6 @@ class Plain(nn.Module):
 
     def forward(self, *tensors: Tensor) -> Tensor:
         return self.function(*tensors)
-
-
-class WeightedShortcut(nn.Module):
-    """[shortcut] with learned weights, one per input or per input and channel, plain, relu- or softmax-normalised."""
-
-    def __init__(self, sources: list[int], channels: int, normalization: str, activation: str) -> None:
-        super().__init__()
-        self.sources, self.normalization, self.activation = sources, normalization, activation
-        self.weights = nn.Parameter(torch.ones(len(sources) + 1, channels))
-
-    def forward(self, x: Tensor, *others: Tensor) -> Tensor:
-        weights = self.weights
-        if self.normalization == "relu":
-            weights = weights.relu() / (weights.relu().sum(dim=0) + NORMALIZATION_EPSILON)
-        elif self.normalization == "softmax":
-            weights = (weights - weights.amax(dim=0)).exp()
-            weights = weights / (weights.sum(dim=0) + NORMALIZATION_EPSILON)
-        inputs = [x, *(match_channels(other, x.shape[1]) for other in others)]
-        total = sum(part * weight[:, None, None] for part, weight in zip(inputs, weights, strict=True))
-        return ACTIVATIONS[self.activation](total)
 
 
 def match_channels(x: Tensor, channels: int) -> Tensor:

@@ -14,7 +14,6 @@ from cloak_core.detectors.darknet.layers import (
     Convolution,
     MaxPool,
     Plain,
-    WeightedShortcut,
     match_channels,
     reorg,
 )
@@ -109,35 +108,29 @@ def build_network(cfg_text: str, input_size: tuple[int, int] | None = None, seed
 
 
 def _convolutional(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    section.refuse(
-        "binary", "xnor", "antialiasing", "share_index", "assisted_excitation", "deform", "sway", "rotate", "stretch"
-    )
+    section.refuse("binary", "xnor", "antialiasing", "share_index", "assisted_excitation", "deform", "sway", "rotate")
+    section.refuse("stretch", "padding")
+    section.refuse("dilation", but=1)
     channels, height, width = shape
-    filters = section.integer("filters", 1, low=1)
-    size, groups = section.integer("size", 1, low=1), section.integer("groups", 1, low=1)
-    dilation = section.integer("dilation", 1, low=1)
-    stride = _strides(section)
+    filters, groups = section.integer("filters", 1, low=1), section.integer("groups", 1, low=1)
+    size, stride = section.integer("size", 1, low=1), _stride(section)
     if filters > MAX_CHANNELS or size > 64:
         raise section.error(f"filters={filters}, size={size}: beyond any known network")
     if channels % groups or filters % groups:
         raise section.error(f"groups={groups} does not divide its {channels} input channels and {filters} filters")
-    padding = dilation * (size // 2 if section.integer("pad", 0) else section.integer("padding", 0, low=0))
+    padding = size // 2 if section.integer("pad", 0) else 0
     normalize = bool(section.integer("batch_normalize", 0))
-    conv = nn.Conv2d(channels, filters, size, stride, padding, dilation, groups, bias=not normalize)
-    norm = BatchNorm(filters) if normalize else None
-    layer = Convolution(conv, norm, _activation(section, "logistic"))
-    reach = dilation * (size - 1) + 1
-    out = [(n + 2 * padding - reach) // s + 1 for n, s in zip((height, width), stride, strict=True)]
-    return layer, (filters, out[0], out[1])
+    conv = nn.Conv2d(channels, filters, size, stride, padding, groups=groups, bias=not normalize)
+    layer = Convolution(conv, BatchNorm(filters) if normalize else None, _activation(section, "logistic"))
+    return layer, (filters, *((n + 2 * padding - size) // stride + 1 for n in (height, width)))
 
 
 def _maxpool(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
     section.refuse("maxpool_depth", "antialiasing")
-    stride = _strides(section)
-    if stride[0] != stride[1]:
-        raise section.error("stride_x and stride_y differ, which is not supported")
-    size = section.integer("size", stride[0], low=1)
-    pool = MaxPool(size, stride[0], section.integer("padding", size - 1, low=0))
+    stride = _stride(section)
+    size = section.integer("size", stride, low=1)
+    section.refuse("padding", but=size - 1)
+    pool = MaxPool(size, stride)
     return pool, (shape[0], pool.out(shape[1]), pool.out(shape[2]))
 
 
@@ -169,40 +162,27 @@ def _reorg(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Modu
 
 
 def _shortcut(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    section.refuse("weights_type")
+    section.refuse("alpha", "beta", but=1)
     sources = _sources(section, "from", shapes)
     for index in sources:
         if shapes[index][1:] != shape[1:]:
             raise section.error(f"adds layer {index} of another size ({shapes[index]} to {shape})")
-    activation = _activation(section, "linear")
-    kind = section.options.get("weights_type", "none")
-    if kind != "none":
-        if kind not in ("per_feature", "per_layer", "per_channel"):
-            raise section.error(f"weights_type={kind} is not supported")
-        normalization = section.options.get("weights_normalization", "none").removeprefix("avg_")
-        if normalization not in ("none", "relu", "softmax"):
-            raise section.error(f"weights_normalization={normalization} is not supported")
-        columns = shape[0] if kind == "per_channel" else 1
-        return WeightedShortcut(sources, columns, normalization, activation), shape
-    alpha, beta = section.number("alpha", 1.0), section.number("beta", 1.0)
+    activation = ACTIVATIONS[_activation(section, "linear")]
 
     def shortcut(x: Tensor, *earlier: Tensor) -> Tensor:
-        """Activation of alpha * previous + beta * earlier, added on the channels that both have."""
-        total = x if alpha == 1.0 else alpha * x
+        """Activation of the sum, on the channels that both have."""
         for other in earlier:
-            other = other if beta == 1.0 else beta * other
-            total = total + match_channels(other, total.shape[1])  # a new tensor: x itself may be needed again
-        return ACTIVATIONS[activation](total)
+            x = x + match_channels(other, x.shape[1])  # a new tensor: x itself may be needed again
+        return activation(x)
 
     return Plain(shortcut, sources), shape
 
 
 def _upsample(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    stride, scale = section.integer("stride", 2, low=1), section.number("scale", 1.0)
-
-    def upsample(x: Tensor) -> Tensor:
-        x = F.interpolate(x, scale_factor=float(stride), mode="nearest")
-        return x if scale == 1.0 else x * scale
-
+    section.refuse("scale", but=1)
+    stride = section.integer("stride", 2, low=1)
+    upsample = partial(F.interpolate, scale_factor=float(stride), mode="nearest")
     return Plain(upsample), (shape[0], shape[1] * stride, shape[2] * stride)
 
 
@@ -261,10 +241,10 @@ def _activation(section: Section, default: str) -> str:
     return name
 
 
-def _strides(section: Section) -> tuple[int, int]:
-    """Read both strides: (vertical, horizontal)."""
+def _stride(section: Section) -> int:
     stride = section.integer("stride", 1, low=1)
-    return section.integer("stride_y", stride, low=1), section.integer("stride_x", stride, low=1)
+    section.refuse("stride_x", "stride_y", but=stride)
+    return stride
 
 
 def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from cloak_core.detectors.darknet.cfg import parse_cfg
-from cloak_core.detectors.darknet.layers import BatchNorm, Convolution, WeightedShortcut
+from cloak_core.detectors.darknet.layers import BatchNorm, Convolution
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import open_regular, read_bytes
@@ -24,8 +24,6 @@ def stored_tensors(network: Network) -> list[tuple[int, str, Tensor]]:
     """List (layer index, name, tensor) of all that a .weights file holds, in file order; the network is unfolded."""
     stored: list[tuple[int, str, Tensor]] = []
     for index, (section, layer) in enumerate(zip(network.sections, network.layers, strict=True)):
-        if isinstance(layer, WeightedShortcut):
-            stored.append((index, "weights", layer.weights))
         if not isinstance(layer, Convolution):
             continue
         if bool(section.integer("batch_normalize", 0)) != (layer.norm is not None):
