@@ -119,7 +119,10 @@ def load_onnx(request: Request) -> OnnxDetector:
             raise NotTrainable(f"{file.path}: its weights cannot be trained: {error}") from None
         session = Session(file)
         detector = assemble(request, file, session)
-        session.one_by_one |= not takes_batches(session, detector.pixels.apply(sample_images(file.size)))
+        if not session.one_by_one:
+            images = detector.pixels.apply(sample_images(file.size))
+            alone = [detector.answer(image) for image in images.split(1)]
+            session.one_by_one = not takes_batches(detector.answer, alone, images)
         detector.black_box, detector.untranslated = str(error), error.untranslated
         words = "%s: a black box, good for evaluation alone: %s; to train against it, %s"
         _log.warning(words, file.path, error, error.way)
@@ -151,7 +154,7 @@ def _white_box(request: Request, file: ModelFile) -> OnnxDetector:
         if tensor.dim() == 4:
             tensor.data = tensor.data.contiguous(memory_format=torch.channels_last)
     try:
-        order_channels(graph, as_input(sample_images(file.size)[:1], file), weights=request.fold)
+        order_channels(graph, as_input(sample_images(file.size)[:1], file))
     except Exception as error:  # onnx2torch's modules fail in their own ways
         raise _fails(error) from None
     detector = assemble(request, file, Converted(graph, file, one_by_one=file.batch is not None))

@@ -36,10 +36,16 @@ def before_choice(file: ModelFile) -> ModelFile:
 
     It stays as it is where the best rows of the file do not stand among these boxes, too.
     """
-    if len(file.model.graph.output) != 1:
+    from onnx import TensorProto
+    from onnx.helper import make_tensor_value_info
+    from onnx.utils import Extractor
+
+    if len(file.model.graph.output) != 1 or file.model.graph.sparse_initializer:
         return file
     for names in _all_rows(file) if file.suppresses else _boxes_and_scores(file.model.graph):
-        model = _ending_in(file.model, names)
+        part = Extractor(file.model)
+        part.value_infos |= {name: make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names}
+        model = part.extract_model([file.input_name], list(names))
         cut = replace(file, model=model, output_names=names, layout=(END_TO_END, EVERY_BOX), suppresses="")
         with contextlib.suppress(InputError, RuntimeError, IndexError):  # onnxruntime's words, or other shapes
             if _has_the_same_best(file, cut):
@@ -81,24 +87,6 @@ def _downstream(graph: onnx.GraphProto, names: Iterable[str]) -> set[str]:
         if reached.intersection(node.input):
             reached.update(node.output)
     return reached
-
-
-def _ending_in(model: onnx.ModelProto, names: tuple[str, ...]) -> onnx.ModelProto:
-    """A copy of the model with these tensors as its outputs, without nodes that they do not need."""
-    import onnx
-
-    cut = type(model)()
-    cut.CopyFrom(model)
-    needed, kept = set(names), []
-    for node in reversed(model.graph.node):
-        if needed.intersection(node.output):
-            kept.append(node)
-            needed.update(node.input)
-    del cut.graph.node[:], cut.graph.output[:]
-    cut.graph.node.extend(reversed(kept))
-    kind = onnx.TensorProto.FLOAT
-    cut.graph.output.extend(onnx.helper.make_tensor_value_info(name, kind, None) for name in names)
-    return cut
 
 
 def _has_the_same_best(file: ModelFile, cut: ModelFile) -> bool:

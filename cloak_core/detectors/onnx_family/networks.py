@@ -261,32 +261,25 @@ def compare(converted: Answer, original: Answer, images: Float[Tensor, "B 3 H W"
             alone = [converted(image) for image in images.split(1)]
         except Exception as error:
             return Verdict(f"it fails in torch ({type(error).__name__}: {error})", False)
-        difference = apart(alone, expected)
-        try:
-            together = converted(images)
-            parts = [Decoded(*(p if p is None else p[i : i + 1] for p in together)) for i in range(len(images))]
-            takes_batches = Apart(apart(parts, expected).scores, 0.0).same
-        except Exception:  # a graph of a fixed batch fails in many ways
-            takes_batches = False
+    batches, difference = takes_batches(converted, alone, images), apart(alone, expected)
     if not difference.same:
         figures = f"scores by {difference.scores:.1e}, boxes by {difference.boxes_px:.2f} px"
-        return Verdict(f"converted to torch it answers otherwise than in onnxruntime ({figures})", takes_batches)
+        return Verdict(f"converted to torch it answers otherwise than in onnxruntime ({figures})", batches)
     gradient = gradient_error(lambda pixels: sureness(converted(pixels).scores), images[:1])
     if gradient is None:
-        return Verdict("its scores have no finite gradient in the image", takes_batches)
-    why_not = "" if gradient <= AGREES else f"its gradient is {gradient:.0%} off a finite difference"
-    return Verdict(why_not, takes_batches)
+        return Verdict("its scores have no finite gradient in the image", batches)
+    return Verdict("" if gradient <= AGREES else f"its gradient is {gradient:.0%} off a finite difference", batches)
 
 
-def takes_batches(network: Callable[[Tensor], list[Tensor]], images: Float[Tensor, "B 3 H W"]) -> bool:
-    """Tell whether a black box answers two images at once as it does one by one."""
+@torch.no_grad()
+def takes_batches(network: Answer, alone: list[Decoded], images: Float[Tensor, "B 3 H W"]) -> bool:
+    """Tell whether a network answers several images at once as it does one by one (`alone`)."""
     try:
-        together = network(images[:2])
-    except Exception:  # onnxruntime's own
+        together = network(images)
+        parts = [Decoded(*(p if p is None else p[i : i + 1] for p in together)) for i in range(len(images))]
+        return Apart(apart(parts, alone).scores, 0.0).same
+    except Exception:  # a graph of a fixed batch fails in many ways
         return False
-    alone = [torch.cat(parts) for parts in zip(*(network(image) for image in images[:2].split(1)), strict=True)]
-    pairs = zip(together, alone, strict=True)
-    return all(a.shape == b.shape and torch.allclose(a, b, atol=1e-3, rtol=1e-3) for a, b in pairs)
 
 
 def remembered(key: str, find: Callable[[], Verdict]) -> Verdict:

@@ -113,17 +113,6 @@ def reshape(x: Tensor, shape: tuple[int, ...]) -> Tensor:
     return x.reshape([x.shape[i] if extent == 0 else extent for i, extent in enumerate(shape)])
 
 
-def _gather(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
-    """Replace a regular list of channels by a slice, which is a view and no copy."""
-    index = constant(node.args[1], graph)
-    if index is None or index.ndim != 1 or len(index) < 2 or index.min() < 0:
-        return None
-    steps = np.unique(np.diff(index))
-    if len(steps) != 1 or steps[0] < 1:
-        return None
-    return cut, (node.args[0], ((module._axis, int(index[0]), int(index[-1]) + 1, int(steps[0])),))
-
-
 def constant(value: object, graph: fx.GraphModule) -> np.ndarray | None:
     """Give what a node always is; None where it is computed. Of integers only: indices, not weights."""
     if not isinstance(value, fx.Node) or value.op != "get_attr":
@@ -142,7 +131,6 @@ REWRITES: dict[str, Callable[[fx.Node, nn.Module, fx.GraphModule], Plainer]] = {
     "OnnxBinaryMathOperation": _silu,
     "OnnxSlice": _slice,
     "OnnxReshape": _reshape,
-    "OnnxGather": _gather,
 }
 """By the name of onnx2torch's module."""
 
@@ -163,11 +151,8 @@ class ShapeRecorder(fx.Interpreter):
 
 
 @torch.no_grad()
-def order_channels(graph: fx.GraphModule, image: Tensor, weights: bool = True) -> None:
-    """Replace, in place, chains of nodes that only put channels into another order; `image` is one to run it on.
-
-    weights: the order may go into the weights of a convolution.
-    """
+def order_channels(graph: fx.GraphModule, image: Tensor) -> None:
+    """Replace, in place, chains of nodes that only put channels into another order; `image` is one to run it on."""
     modules = dict(graph.named_modules())
     names = {node: _name(node, modules) for node in graph.graph.nodes}
     moving = [node for node, name in names.items() if name in REARRANGING]
@@ -181,7 +166,7 @@ def order_channels(graph: fx.GraphModule, image: Tensor, weights: bool = True) -
         while names[chain[0]] in REARRANGING:
             chain.insert(0, chain[0].args[0])
         order = _order(chain, modules, graph)
-        if order is not None and not (weights and _into_convolution(chain, order, modules)):
+        if order is not None:
             _replace(chain, order, graph)
     graph.graph.eliminate_dead_code()
     graph.delete_all_unused_submodules()
@@ -221,21 +206,6 @@ def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphM
         return None
     order = values[0, :, 0, 0] // pixels
     return order if torch.equal(numbers[:, order], values) else None
-
-
-def _into_convolution(chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module]) -> bool:
-    """Reorder the weights of the one convolution that reads all channels; tell whether there is one."""
-    source, end = chain[0], chain[-1]
-    channels = source.meta["shape"][1]
-    if len(end.users) != 1 or len(order) != channels or len(order.unique()) != channels:
-        return False
-    (user,) = end.users
-    conv = modules.get(user.target) if user.op == "call_module" else None
-    if type(conv) is not nn.Conv2d or conv.groups != 1:
-        return False
-    conv.weight.copy_(conv.weight[:, order.argsort()])
-    end.replace_all_uses_with(source)
-    return True
 
 
 def _replace(chain: list[fx.Node], order: Tensor, graph: fx.GraphModule) -> None:
