@@ -13,7 +13,6 @@ import torch
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
 from cloak_core.studies.report import plots
-from cloak_core.studies.report.style import style
 from cloak_core.studies.report.pictures import (
     ANGLES,
     BODIES,
@@ -23,6 +22,7 @@ from cloak_core.studies.report.pictures import (
     write_shot,
 )
 from cloak_core.studies.report.plots import success_by_body
+from cloak_core.studies.report.style import style
 from cloak_core.studies.report.words import interval, percent
 from cloak_core.studies.trained_run import History
 from tests.core.fakes import RedDetector

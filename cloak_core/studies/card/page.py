@@ -9,11 +9,13 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
+from matplotlib.figure import Figure
 
+from cloak_core.core.detector import THRESHOLD
 from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import NOBODY, Results
 from cloak_core.core.evaluation.statistics import undetected
@@ -21,12 +23,14 @@ from cloak_core.core.pattern import Pattern
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text, written
-from cloak_core.studies.card import plots, words
+from cloak_core.studies.card import words
 from cloak_core.studies.card.protocol import VERSION, Part, part_of_area
 from cloak_core.studies.card.words import name_of, others_strongest, shown, strongest
 from cloak_core.studies.imagery import flat_views
 from cloak_core.studies.report import page
+from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows, rated
 from cloak_core.studies.report.pictures import Drawing, describe, first_by, write_flat, write_shot
+from cloak_core.studies.report.style import SERIES, WIDTH
 from cloak_core.studies.report.words import interval, markdown, percent
 from cloak_core.studies.store import RunStore
 
@@ -64,9 +68,8 @@ def write_card(folder: Path) -> Path:
     values = {
         "card": card,
         "words": words,
-        "columns": attack_columns(card),
         "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
-        "figures": page.figures(plots.card_figures, card),
+        "figures": page.figures(card_figures, card),
         "pictures": pictures,
         "hidden": {part: pictures["hidden"][part] for part in _parts_with_pairs(card, pictures["hidden"])},
         "folder": folder / "pictures",
@@ -87,7 +90,7 @@ def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
         "cards": list(zip(cards, links, strict=True)),
         "heads": heads,
         "rows": rows,
-        "figures": page.figures(plots.comparison_figures, cards),
+        "figures": page.figures(comparison_figures, cards),
         "mixed": len({(card["size"], card["made"]["seed"]) for card in cards}) > 1,
     }
     return page.write_page(path, "compare.html", values)
@@ -111,7 +114,8 @@ def model_card(card: dict) -> str:
         ["---", *(f"{key}: {json.dumps(value)}" for key, value in front.items()), "---"]
     )  # JSON is YAML, too
     table = "\n".join(markdown_rows([card]))
-    paragraphs = [markdown(write(card)) for write in (words.headline, words.lede, words.advice)]
+    _, _, advice = words.judge(card)
+    paragraphs = [markdown(text) for text in (words.headline(card), words.lede(card), advice)]
     untested = "\n".join(f"- {markdown(line)}" for line in words.not_tested(card))
     return "\n\n".join([head, f"# {markdown(name)}", table, *paragraphs, "Not tested:", untested]) + "\n"
 
@@ -125,27 +129,7 @@ def _parts_with_pairs(card: dict, hidden: Mapping[str, Sequence]) -> list[str]:
     return [part for part in dict.fromkeys((smallest, "circle")) if hidden.get(part)]
 
 
-# --- its tables: a figure is computed in `figures`, and shown as a column here
-
-
-def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
-    """The columns of the table of attacks: head -> the cell of a row of `attack_record`."""
-    return {
-        f"hidden at its own {card['operating_point']}": shown,
-        "95 %": lambda row: interval(row["ci95_own"]),
-        "how sure": lambda row: row["state"],
-        "hidden at 0.6": lambda row: percent(row["success"]),
-        "95 % at 0.6": lambda row: interval(row["ci95"]),
-        "hidden at 0.5": lambda row: percent(row["success_05"]),
-        "mASR 0.1 – 0.9": lambda row: percent(row["masr"]),
-        "AP50": lambda row: f"{100 * row['ap50']:.1f}",
-        "AP50:95": lambda row: f"{100 * row['ap50_95']:.1f}",
-        "something else there": lambda row: percent(row["renamed_own"]),
-        "nothing there": lambda row: percent(row["gone_own"]),
-        "random colours": lambda row: percent(row["random_own"]),
-        "own clothing": lambda row: percent(row["clothing_own"]),
-        "images": lambda row: str(row["n"]),
-    }
+# --- its line in a leaderboard: a figure is computed in `figures`, and shown as a column here
 
 
 def leaderboard_row(card: dict) -> dict[str, str]:
@@ -182,6 +166,89 @@ def markdown_rows(cards: list[dict]) -> list[str]:
     heads, rows = leaderboard_table(cards)
     lines = [heads, ["---"] * len(heads), *rows]
     return ["| " + " | ".join(markdown(cell).replace("\n", "<br>") for cell in line) + " |" for line in lines]
+
+
+# --- its plots, drawn inside `style.style`
+
+RECALL_WAYS = {"distance": "distance (m)", "azimuth": "azimuth (degrees)", "elevation": "elevation (degrees)"}
+MOST_BARS = 20
+"""Bodies and poses that are named."""
+HIDDEN, FOUND = "people hidden", "found in own clothing"
+WIDE = (1.5 * WIDTH, 3.2)
+BARS = Bars(y="name", rate=HIDDEN)
+
+
+def card_figures(card: dict) -> dict[str, Figure | None]:
+    """Draw one card, by the names that its page knows: people found, and people hidden; what it has figures for."""
+    figures = {"recall": recall([card])}
+    for way in ("body", "pose"):
+        worst = sorted(card["recall_by"][way].items(), key=lambda pair: pair[1]["recall_own"])[:MOST_BARS]
+        figures[f"by_{way}"] = Bars(y="name", rate=FOUND).draw(_own_rows("name", worst, "recall"))
+    called = {name: series.label for name, series in SERIES.items()} | {"noise": "black and white"}
+    controls = [(called.get(name, name), row) for name, row in card["controls"].items()]
+    figures["controls"] = BARS.draw(_own_rows("name", controls))
+    if zoo := card["black_box"]["zoo"]:
+        against = [(row["name"] + " (made against it)" * bool(row["trained_against_it"]), row) for row in zoo]
+        figures["zoo"] = BARS.draw(_own_rows("name", against))
+    if card["white_box"]:
+        figures |= {"area": by_area(card), "threshold": by_threshold(card)}
+    if card.get("around"):
+        by_angle = _own_rows("angle", [(float(angle), row) for angle, row in card["around"]["by_angle"].items()])
+        label = {"cloak": "cloak for the full circle"}
+        figures["around"] = Rings(series="cloak").draw([label | row for row in by_angle])
+    return figures
+
+
+def comparison_figures(cards: Sequence[dict]) -> dict[str, Figure | None]:
+    """Draw what compares cards, by title: people hidden over the cloak's area, each at its own threshold; recall."""
+    rows = [
+        {"name": name_of(card), "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
+        for card in cards
+        for row in card["white_box"]
+    ]
+    lines = Lines(x="area_share", series="name", rate=HIDDEN, size=WIDE)
+    area = "People hidden against the cloak's area, at each one's own threshold"
+    return ({area: lines.draw(rows)} if rows else {}) | {"Found in own clothing": recall(cards)}
+
+
+def by_area(card: dict) -> Figure | None:
+    """Plot people hidden over the cloak's area, at both thresholds, and what the same faces do untrained."""
+    beside = {"at_0.6": f"cloak, at {THRESHOLD:g}"}
+    beside |= {f"{control}_own": SERIES[control].label for control in ("random", CLOTHING)}
+    rows = [
+        row
+        | {"at": f"cloak, at the detector's own {card['operating_point']:g}"}
+        | {"at_0.6": row["success"], "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
+        for row in card["white_box"]
+    ]
+    return Lines(x="area_share", series="at", beside=beside, rate=HIDDEN).draw(rows)
+
+
+def by_threshold(card: dict) -> Figure | None:
+    """Plot people hidden over the detection threshold, a line for each area."""
+    rows = [
+        {"cloak": f"{100 * row['area']:.0f} % of the body, mean {100 * row['masr']:.0f} %"}
+        | {"threshold": float(t), "success": value}
+        for row in card["white_box"]
+        for t, value in row["by_threshold"].items()
+    ]
+    return Lines(x="threshold", series="cloak", rate=HIDDEN).draw(rows)
+
+
+def recall(cards: Sequence[dict]) -> Figure | None:
+    """Plot recall in own clothing by distance, azimuth and elevation; a line for each detector."""
+    rows = [
+        {"name": name_of(card), "way": label, **row}
+        for way, label in RECALL_WAYS.items()
+        for card in cards
+        for row in _own_rows("", ((float(value), row) for value, row in card["recall_by"][way].items()), "recall")
+    ]
+    return Lines(x="", series="name", panel="way", rate=FOUND, size=WIDE).draw(rows)
+
+
+def _own_rows(column: str, records: Iterable[tuple[object, dict]], name: str = "success") -> Rows:
+    """Make rows of labelled records: the rate at the detector's own threshold, with its interval."""
+    return [{column: label, **rated(record, f"{name}_own", "ci95_own")} for label, record in records]
 
 
 # --- the pictures beside a card

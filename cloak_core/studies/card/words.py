@@ -108,19 +108,6 @@ def others_strongest(zoo: Sequence[dict]) -> dict | None:
     return max(counted, key=lambda row: (row["success_own"], row["success"]), default=None)
 
 
-def kind(card: dict) -> str:
-    """Judge a card for whoever runs the detector.
-
-    bad: an attack hides half of the people or more. good: the white box was measured, and no interval of any attack
-    reaches half. unknown: else.
-    """
-    most = strongest(card)
-    if most is not None and most.row["success_own"] >= HALF:
-        return "bad"
-    sure = whole(card) == MEASURED and all(attack.row["ci95_own"][1] < HALF for attack in attacks(card))
-    return "good" if sure else "unknown"
-
-
 # --- sentences
 
 
@@ -167,39 +154,40 @@ def relation(card: dict) -> str:
     return f"Worn in photographs, the same cloth hides {shown(again)} (95 % interval {bounds}): {carries}."
 
 
-def advice(card: dict) -> str:
-    """Say what to do, by rule: first mend what is bad without an attack, then what a sure attack does."""
-    clean, judged = card["clean"], kind(card)
-    if clean["recall_own"] < GOOD or clean["false_alarms_own"] > 1 - GOOD:
-        return "First make it better without any attack: it misses people, or sees them where nobody is, too often."
-    if judged == "bad":
+def judge(card: dict) -> tuple[str, str, str]:
+    """Judge a card for whoever runs the detector: kind, words of its badge, and what to do.
+
+    bad: an attack hides half of the people or more. good: the white box was measured, and no interval of any attack
+    reaches half. unknown: else. To be done first is what is bad without any attack.
+    """
+    clean, rows, most = card["clean"], card["white_box"], strongest(card)
+    if most is not None and most.row["success_own"] >= HALF:
+        hiding = [row["asked"] for row in rows if row["success_own"] >= HALF]
+        by = f"{percent(min(hiding))} of the body" if hiding else most.worn.rstrip(",")
         can_be_hardened = split_defence(card["spec"]) is None and parse_spec(card["spec"]).family in TRAINABLE
         hardening = f", harden it (cloak harden {without_folders(card['spec'])})" if can_be_hardened else ""
-        return (
+        kind, badge = "bad", f"hidden by {by}"
+        advice = (
             "Do not let it decide alone where somebody may want to hide: put a second sensor or an unlike detector "
             f"beside it{hardening}, and make this card again."
         )
-    if not card["white_box"]:
-        return "Ask whoever has the network for the white-box part of this card before you rely on it."
-    if whole(card) == AT_LEAST:
+    elif not rows:
+        kind, badge = "unknown", "white box not measured"
+        advice = "Ask whoever has the network for the white-box part of this card before you rely on it."
+    elif whole(card) == AT_LEAST:
+        kind, badge = "unknown", "white box short of the protocol"
         why = ", they follow a part of its gradient alone" if card["partial_gradient"] else ""
-        return f"Do not take these figures for its limit: its attacks were short of the protocol{why}."
-    if judged == "unknown":
-        return "Put a second sensor beside it where much depends on it: the intervals of its attacks reach half."
-    longer = " Make a card of a larger size, too (cloak assess --size full)." if card["size"] != "full" else ""
-    return f"Keep it so: hold every new version against bounds on these figures (cloak assess --gate).{longer}"
-
-
-def verdict(card: dict) -> tuple[str, str]:
-    """Judge the card: kind (good, bad, unknown) and words of the badge."""
-    judged = kind(card)
-    if judged == "bad":
-        hiding = [row["asked"] for row in card["white_box"] if row["success_own"] >= HALF]
-        by = f"{percent(min(hiding))} of the body" if hiding else strongest(card).worn.rstrip(",")
-        return judged, f"hidden by {by}"
-    if not card["white_box"]:
-        return judged, "white box not measured"
-    return judged, "white box short of the protocol" if whole(card) == AT_LEAST else "no attack hid half"
+        advice = f"Do not take these figures for its limit: its attacks were short of the protocol{why}."
+    elif any(attack.row["ci95_own"][1] >= HALF for attack in attacks(card)):
+        kind, badge = "unknown", "no attack hid half"
+        advice = "Put a second sensor beside it where much depends on it: the intervals of its attacks reach half."
+    else:
+        kind, badge = "good", "no attack hid half"
+        longer = " Make a card of a larger size, too (cloak assess --size full)." if card["size"] != "full" else ""
+        advice = f"Keep it so: hold every new version against bounds on these figures (cloak assess --gate).{longer}"
+    if clean["recall_own"] < GOOD or clean["false_alarms_own"] > 1 - GOOD:
+        advice = "First make it better without any attack: it misses people, or sees them where nobody is, too often."
+    return kind, badge, advice
 
 
 def tiles(card: dict) -> list[dict]:
