@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -62,21 +62,19 @@ class Assess(Splitting, Detecting, Sharing):
 
     def run(self) -> dict:
         from cloak_core.detectors.naming import full_spec
-
-        self.specs = tuple(map(full_spec, self.specs))
-        self._sizes()
-        bounds = self._bounds()
-        self.sharing.spread(self._parts(), self.compute)
-        cards = self.work() if self.specs else {}
         from cloak_core.studies.card.gate import check, require_measured, write_junit
         from cloak_core.studies.card.leaderboard import gather, write_leaderboard
         from cloak_core.studies.card.page import write_card, write_comparison
         from cloak_core.studies.report.words import short_names
 
-        if not self.specs:
-            cards = gather(self.out)
-            for card in cards.values() if bounds else ():
-                require_measured(self.gate, bounds, card)
+        self.specs = tuple(dict.fromkeys(map(full_spec, self.specs)))
+        self._sizes()
+        bounds = self._bounds()
+        parts = [(spec, self.part_of(leaderboard=None, junit=None, specs=(spec,))) for spec in self.specs]
+        self.sharing.spread(parts, self.compute)
+        cards = self.work() if self.specs else gather(self.out)
+        for card in cards.values() if bounds and not self.specs else ():
+            require_measured(self.gate, bounds, card)
         called = short_names(card["spec"] for card in cards.values())
         folders = {called[card["spec"]]: self.out / name for name, card in cards.items()}
         pages = [write_card(folder) for folder in folders.values()]
@@ -99,15 +97,11 @@ class Assess(Splitting, Detecting, Sharing):
 
     def _bounds(self) -> list[Bound]:
         """Read the gate, before anything is measured."""
-        if self.junit is not None and self.gate is None:
-            raise InputError("--junit: needs --gate FILE")
         from cloak_core.studies.card.gate import read_gate
 
+        if self.junit is not None and self.gate is None:
+            raise InputError("--junit: needs --gate FILE")
         return [] if self.gate is None else read_gate(self.gate)
-
-    def _parts(self) -> list[tuple[str, Assess]]:
-        specs = dict.fromkeys(self.specs)
-        return [(spec, self.part_of(leaderboard=None, junit=None, specs=(spec,))) for spec in specs]
 
     def _sizes(self) -> list[Size]:
         """List the sizes that this call may take, the largest first; one where no time is given."""
@@ -122,27 +116,19 @@ class Assess(Splitting, Detecting, Sharing):
             raise InputError(f"--minutes {self.minutes:g}: some time is needed")
         return list(SIZES.values())[::-1]
 
-    def _patterns(self) -> tuple[str, ...]:
-        """List the patterns with their widths. InputError: one cannot be read."""
-        from cloak_core.studies.opening import cloth_spec, open_pattern
-        from cloak_core.studies.wearing.patterns import pattern_specs
-
-        patterns = tuple(cloth_spec(spec) for named in self.patterns for spec in pattern_specs(named))
-        for spec in patterns:
-            open_pattern(spec)
-        return patterns
-
     def work(self) -> dict[str, dict]:
         """Make a card for each detector, by its folder's name."""
         from cloak_core.studies.card.gate import require_measured
         from cloak_core.studies.card.leaderboard import folder_names
+        from cloak_core.studies.opening import cloth_spec
+        from cloak_core.studies.wearing.patterns import pattern_specs
 
         self.prepare()
-        specs, patterns = tuple(dict.fromkeys(self.specs)), self._patterns()
-        people, names, bounds = self.cast(), folder_names(specs), self._bounds()
+        patterns = tuple(cloth_spec(spec) for named in self.patterns for spec in pattern_specs(named))
+        people, names, bounds = self.cast(), folder_names(self.specs), self._bounds()
         assessments = {
             names[spec]: self._choose(spec, detector, self.out / names[spec], people, patterns)
-            for spec, detector in self.by_spec(specs).items()
+            for spec, detector in self.by_spec(self.specs).items()
         }
         for assessment in assessments.values() if bounds else ():
             require_measured(self.gate, bounds, assessment.expected())
@@ -160,17 +146,10 @@ class Assess(Splitting, Detecting, Sharing):
         from cloak_core.studies.report.words import short_name
         from cloak_core.studies.store import RunStore
 
-        pace = None
+        split, pace = self.split({spec: detector}, with_people=False), None
+        made = StoreOptions(out=self.out, seed=self.seed, device=self.compute.device, command=command_line())
         for size in self._sizes():
-            options = StoreOptions(
-                out=self.out,
-                seeds=size.seeds,
-                seed=self.seed,
-                size=size.pixels,
-                device=self.compute.device,
-                command=command_line(),
-            )
-            store = RunStore(self.split({spec: detector}, with_people=False), options, lambda message: None)
+            store = RunStore(split, replace(made, seeds=size.seeds, size=size.pixels), lambda message: None)
             assessment = Assessment(store, size, folder, self.zoo or None, WorkProgress(), people, patterns, self.logo)
             seconds, pace = assessment.seconds_left(pace)
             clocked = f"{1000 * pace.gradient:.0f} ms a forward and backward, {1000 * pace.forward:.0f} ms a forward"

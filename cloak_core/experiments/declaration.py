@@ -99,7 +99,7 @@ class Matrix:
         tested = next(iter(by_source.values()))  # controls wear nothing trained: alike under every source
         shares = [column(of_source) for of_source in by_source.values()] + [column(tested, c) for c in self.controls]
         heads = [names[spec] for spec in by_source]
-        below = [SERIES[control].label for control in self.controls]
+        below = [SERIES[control]["label"] for control in self.controls]
         figure = heat_map(np.array(shares), [*heads, *below], heads, rule=len(heads))
         figure.axes[0].set(xlabel="tested on", ylabel="trained on")
         return figure

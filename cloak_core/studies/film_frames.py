@@ -78,8 +78,8 @@ class _Drawing:
             others = sorted({self.others[spec, control][index] for spec in self.detectors} - {""})
             words = VERDICTS[verdict] + (f", but: {', '.join(others)}" if others and not verdict else "")
             frame.paste(pictures[control], (left, self.head))
-            name = SERIES[control]
-            draw.text((left + self.gap, middle), name.label, name.color, _font(self.text, bold=True), "lm")
+            label, color = SERIES[control]["label"], SERIES[control]["color"]
+            draw.text((left + self.gap, middle), label, color, _font(self.text, bold=True), "lm")
             shade = COLORS[0] if verdict else SOFT
             draw.text((left + size - self.gap, middle), words, shade, _font(self.text), "rm")
         frame.paste(self.strip, (0, self.head + size))
@@ -144,7 +144,7 @@ class _Drawing:
     def _series(self, draw: ImageDraw.ImageDraw, spec: str, control: str, y: Callable, top: float) -> None:
         """Draw one side's scores, and its bar: full where found, thin above the own threshold alone, else faint."""
         scores = self.scores[spec, control]
-        color = SERIES[control].color
+        color = SERIES[control]["color"]
         height = 0.5 * self.text
         points = [(self._x(i), y(float(s))) for i, s in enumerate(scores)]
         if len(points) == 1:

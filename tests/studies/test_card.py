@@ -86,7 +86,7 @@ def test_of_a_black_box_only_what_needs_no_gradients(made: tuple[Path, dict, lis
     assert card["white_box"] == [] and card["circle"] is None and card["clean"]["n"] == 6
     said = words.not_tested(card)
     assert "gives no gradients" in said[0] and "No cloak made against other detectors" in said[1]
-    assert "gives no gradients" in words.headline(card) and words.verdict(card)[0] == "unknown"
+    assert "gives no gradients" in words.headline(card) and words.judge(card)[0] == "unknown"
     assert card["state"] == card["black_box"]["state"] == "not measured"
     assert "white box not measured" in (made[0] / "dark/card.html").read_text()
 
@@ -198,30 +198,30 @@ S = {"success": 0.3, "renamed_own": None, "gone_own": None, "named_own": None, "
 def test_one_rule_says_how_sure_a_figure_is_everywhere() -> None:
     """A cloak of 25 updates: no page, badge, table or gate takes its share for the detector's."""
     card = short_card()
-    assert words.verdict(card) == ("good", "no attack hid half") and words.tiles(card)[1]["kind"] == "good"
-    states = [words.state_of_attack(Part("x", steps=n, area=area), "") for n, area in ((25, 0.76), (300, 0.2))]
+    assert words.judge(card)[:2] == ("good", "no attack hid half") and words.tiles(card)[1]["kind"] == "good"
+    states = [Part("x", steps=n, area=area).state("") for n, area in ((25, 0.76), (300, 0.2))]
     assert states == ["at least"] * 2
-    states = [words.state_of_attack(Part("x", steps=n, area=area), "") for n, area in ((300, 0.76), (600, None))]
-    assert states == ["measured"] * 2 and words.state_of_attack(Part("zoo x"), "held") == "measured"
-    assert words.state_of_attack(Part("circle", steps=600), "the second stage is held") == "at least"
+    states = [Part("x", steps=n, area=area).state("") for n, area in ((300, 0.76), (600, None))]
+    assert states == ["measured"] * 2 and Part("zoo x").state("held") == "measured"
+    assert Part("circle", steps=600).state("the second stage is held") == "at least"
     card["white_box"] = [hiding(card["white_box"][0], 0.02, "at least") | {"steps": 25}]
     (line,) = words.lines(card)
     assert "at least 2 %" in words.headline(card) and line["value"] == "≥ 2 %"
-    assert line["kind"] == words.verdict(card)[0] == "unknown"
+    assert line["kind"] == words.judge(card)[0] == "unknown"
     (tile,) = [tile for tile in words.tiles(card) if "76 %" in tile["what"]]
     assert (tile["value"], tile["state"], tile["kind"]) == ("≥ 2 %", "at least", "unknown") and "25 upd" in tile["what"]
     (missing,) = [tile for tile in words.tiles(card) if "all around" in tile["what"]]
     assert (missing["value"], missing["state"]) == ("–", "not measured")
-    assert "short of the protocol" in words.advice(card)
+    assert "short of the protocol" in words.judge(card)[2]
 
 
 def test_advice_names_hardening_only_where_it_is() -> None:
     bad = short_card()
     bad["white_box"] = [hiding(bad["white_box"][0], 0.9)]
-    assert "harden it (cloak harden builtin)" in words.advice(bad)
-    assert "cloak harden" not in words.advice(bad | {"spec": "tflite:net.tflite"})
-    assert "cloak harden" not in words.advice(bad | {"spec": "jpeg=75:builtin"})
-    assert "without any attack" in words.advice(bad | {"clean": bad["clean"] | {"recall_own": 0.5}})
+    assert "harden it (cloak harden builtin)" in words.judge(bad)[2]
+    assert "cloak harden" not in words.judge(bad | {"spec": "tflite:net.tflite"})[2]
+    assert "cloak harden" not in words.judge(bad | {"spec": "jpeg=75:builtin"})[2]
+    assert "without any attack" in words.judge(bad | {"clean": bad["clean"] | {"recall_own": 0.5}})[2]
 
 
 def test_the_card_says_what_renders_are_worth_in_photographs() -> None:

@@ -76,7 +76,6 @@ class Assessment:
         self.split = self.store.split
         self.detector = self.split.detectors[self.spec]
         self.areas = nested_areas(self.split.bodies, self.size.areas)
-        self.folder.mkdir(parents=True, exist_ok=True)
         self.entries = self._entries()
         self.people = self.people.first(self.size.people)
         cover, over = clothes_cover(self.logo), f" on {self.logo}" if self.logo else ""
@@ -84,7 +83,6 @@ class Assessment:
         names = [name for name, _ in opened]
         if len(set(names)) < len(names):
             raise InputError(f"--patterns: {max(names, key=names.count)} is given twice")
-        self.patterns = self.patterns[: self.size.patterns]
         self.opened = dict(opened[: self.size.patterns])
         self.left_patterns = names[self.size.patterns :]
 
@@ -151,7 +149,7 @@ class Assessment:
             if part.name == "clean":
                 looked = 6.0 * self.size.clean_images + self.size.bare
             elif part.name == "people":
-                looked = worn * len(self.people) * (len(PEOPLE_CONTROLS) + 2 + len(HEADS) + 1 + len(self.patterns))
+                looked = worn * len(self.people) * (len(PEOPLE_CONTROLS) + 2 + len(HEADS) + 1 + len(self.opened))
             elif part.name == "circle":
                 looked += trained / TRAINED  # all around, an image that is trained on is a new view, too
             costs[part.name] = trained, looked
@@ -160,7 +158,8 @@ class Assessment:
     def work(self, worn: float = 1.0) -> Work:
         """Count what is done; what an earlier call for the same has done counts, too."""
         asked = {key: value for key, value in self.told.items() if key != "made"}
-        key = sha256_record([fixed(self.size), self.store.options.seed, list(self.patterns), asked])
+        patterns = list(self.patterns[: self.size.patterns])
+        key = sha256_record([fixed(self.size), self.store.options.seed, patterns, asked])
         return Work(self.costs(worn), self.folder / "spent.json", key, self.on_work, self.size.seeds)
 
     def seconds_left(self, pace: DetectorPace | None = None) -> tuple[float, DetectorPace]:
@@ -187,6 +186,7 @@ class Assessment:
 
     def run(self) -> dict:
         """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
+        self.folder.mkdir(parents=True, exist_ok=True)
         work, figures = self.work(), dict(self.told)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         rows: dict[str, list[Results]] = {}

@@ -57,7 +57,6 @@ from cloak_core.studies.card.words import (
     NOT_MEASURED,
     others_strongest,
     state,
-    state_of_attack,
     whole,
     worn_rows,
 )
@@ -94,17 +93,12 @@ def card_of(stated: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) 
     for part in parts_of(stated, size):
         if part.name not in ("clean", "people"):
             steps = {"steps": part.steps} if part.steps else {}
-            sure = {"state": state_of_attack(part, stated["partial_gradient"])}
-            attacks[part.name] = steps | attack_record(tables[part.name], spec) | sure
-    areas = size.areas if stated["differentiable"] else ()
-    card = (
-        fixed(size) | dict(stated) | {"photographs": stated.get("photographs")} | clean_figures(tables["clean"], spec)
-    )
-    card["white_box"] = [
-        {"asked": area} | row | attacks[part_of_area(area)]
-        for area, row in zip(areas, stated["white_box"], strict=True)
-    ]
-    card["around"] = None
+            record = attack_record(tables[part.name], spec)
+            attacks[part.name] = steps | record | {"state": part.state(stated["partial_gradient"])}
+    card = fixed(size) | dict(stated) | {"photographs": stated.get("photographs")}
+    card |= clean_figures(tables["clean"], spec) | {"around": None}
+    areas = zip(size.areas if stated["differentiable"] else (), stated["white_box"], strict=True)
+    card["white_box"] = [{"asked": area} | row | attacks[part_of_area(area)] for area, row in areas]
     if "circle" in tables:
         angles = tables["circle"].rows(spec, LOGO).groupby("angle")
         by_angle = {f"{angle:g}": success_rates(seen) for angle, seen in angles}
@@ -168,12 +162,6 @@ def recall_rates(rows: pd.DataFrame) -> dict:
     return rate_record("recall", recall, 4) | rate_record("recall_own", own, 4) | {"n": recall.n}
 
 
-def precision_record(results: Results, rows: pd.DataFrame) -> dict:
-    """Compute AP50 and AP50:95, the mean of repetitions."""
-    wide = average_precision(results, rows, OVERLAPS)
-    return {"ap50": digits(average_precision(results, rows)), "ap50_95": digits(wide)}
-
-
 def attack_record(results: Results, spec: str) -> dict:
     """Count what a cloak does to a detector, with own clothing and random colours beside it.
 
@@ -185,12 +173,16 @@ def attack_record(results: Results, spec: str) -> dict:
     record["by_threshold"] = {f"{t:g}": digits(x) for t, x in zip(THRESHOLDS, threshold_curve(rows), strict=True)}
     for control in results.controls[1:]:
         other = results.rows(spec, control)
-        record |= {
-            control: digits(success_rate(other)),
-            f"{control}_own": digits(success_rate(other, operating_point(other))),
-        }
-    record |= precision_record(results, rows) | outcome_record(rows)
+        record[control] = digits(success_rate(other))
+        record[f"{control}_own"] = digits(success_rate(other, operating_point(other)))
+    record |= precision(results, rows) | outcome_record(rows)
     return record | {"n": len(rows), "seeds": results.trainings}
+
+
+def precision(results: Results, rows: pd.DataFrame) -> dict:
+    """Compute AP50 and AP50:95, the mean of repetitions."""
+    wide = average_precision(results, rows, OVERLAPS)
+    return {"ap50": digits(average_precision(results, rows)), "ap50_95": digits(wide)}
 
 
 def clean_figures(results: Results, spec: str) -> dict:
@@ -200,7 +192,7 @@ def clean_figures(results: Results, spec: str) -> dict:
     """
     rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
     clean = recall_rates(rows) | rate_record("recall_on_body", found_rate(rows, column="score_on"), 4)
-    clean |= precision_record(results, rows)
+    clean |= precision(results, rows)
     for name, threshold in (("false_alarms", THRESHOLD), ("false_alarms_own", operating_point(rows))):
         alarms = 1 - success_rate(bare, threshold)
         clean |= rate_record(name, Rate(alarms, *wilson(alarms, len(bare)), len(bare)), 4)
@@ -210,12 +202,12 @@ def clean_figures(results: Results, spec: str) -> dict:
     for way, column in RECALL_BY.items():
         groups = [(value if isinstance(value, str) else f"{value:g}", seen) for value, seen in rows.groupby(column)]
         recall_by[way] = {label: recall_rates(seen) for label, seen in groups}
-    names = dict(zip(results.controls, results.controls, strict=True)) | {LOGO: "noise"}
-    controls = {name: success_rates(results.rows(spec, control)) for control, name in names.items()}
+    # What stands for a cloak is noise.
+    named = {"noise" if name == LOGO else name: results.rows(spec, name) for name in results.controls}
     return {
         "clean": clean | {"backgrounds": len(bare), "state": MEASURED},
         "recall_by": recall_by,
-        "controls": {name: row | {"state": MEASURED} for name, row in controls.items()},
+        "controls": {name: success_rates(rows) | {"state": MEASURED} for name, rows in named.items()},
     }
 
 
@@ -254,23 +246,21 @@ def summary(card: dict) -> dict:
 def untested(card: dict) -> list[str]:
     """Say what this card did not measure, for reasons of this detector, its size, or the call."""
     sentences = []
+    made = [row["asked"] for row in card["white_box"]]
+    missing = [f"{100 * area:.0f} % of the body" for area in AREAS if area not in made]
+    missing += [] if card["around"] else ["the full circle"]
     if not card["differentiable"]:
         sentences.append(
             "No white-box attack: the detector gives no gradients. An attacker who has its weights in another "
             "form may do far better than the cloaks shown here."
         )
-    else:
-        made = [row["asked"] for row in card["white_box"]]
-        missing = [f"{area:.0%} of the body".replace("%", " %") for area in AREAS if area not in made]
-        missing += [] if card["around"] else ["the full circle"]
-        if missing:
-            sentences.append(
-                f"Cloaks made against it for {', '.join(missing)}: not made in a card of size {card['size']}."
-            )
-        if card["partial_gradient"]:
-            sentences.append(
-                f"The gradient that the attack follows is not all of the answer's: {card['partial_gradient']}."
-            )
+    elif missing:
+        asked = ", ".join(missing)
+        sentences.append(f"Cloaks made against it for {asked}: not made in a card of size {card['size']}.")
+    if card["differentiable"] and card["partial_gradient"]:
+        sentences.append(
+            f"The gradient that the attack follows is not all of the answer's: {card['partial_gradient']}."
+        )
     zoo, photographs, counts = card["black_box"]["zoo"], card["photographs"], card["counts"]
     if all(row["trained_against_it"] for row in zoo):
         why = "those there are were made against it" if zoo else "the zoo holds none for this scene's bodies"

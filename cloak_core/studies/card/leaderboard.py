@@ -176,7 +176,7 @@ def ranked(cards: Iterable[dict]) -> list[dict]:
     def place(card: dict) -> tuple:
         rows, worn = card["white_box"], strongest(card, True)
         mean = sum(row["success_own"] for row in rows) / len(rows) if rows else 1.0
-        in_photographs = worn.row["success_own"] if worn else 1.0
+        in_photographs = worn["success_own"] if worn else 1.0
         return whole(card) != MEASURED, not rows, in_photographs, mean, card["spec"]
 
     return sorted(cards, key=place)

@@ -142,7 +142,7 @@ def leaderboard_row(card: dict) -> dict[str, str]:
     clean, worn = card["clean"], strongest(card, True)
     return {
         "detector": name_of(card),
-        "photographs ↓": both(worn and worn.row),
+        "photographs ↓": both(worn),
         **{f"{percent(row['asked'])} ↓": both(row) for row in reversed(card["white_box"])},
         "all around ↓": both(card.get("around")),
         "others' cloaks ↓": both(others_strongest(card["black_box"]["zoo"])),
@@ -184,7 +184,7 @@ def card_figures(card: dict) -> dict[str, Figure | None]:
     for way in ("body", "pose"):
         worst = sorted(card["recall_by"][way].items(), key=lambda pair: pair[1]["recall_own"])[:MOST_BARS]
         figures[f"by_{way}"] = Bars(y="name", rate=FOUND).draw(_own_rows("name", worst, "recall"))
-    called = {name: series.label for name, series in SERIES.items()} | {"noise": "black and white"}
+    called = {name: series["label"] for name, series in SERIES.items()} | {"noise": "black and white"}
     controls = [(called.get(name, name), row) for name, row in card["controls"].items()]
     figures["controls"] = BARS.draw(_own_rows("name", controls))
     if zoo := card["black_box"]["zoo"]:
@@ -214,7 +214,7 @@ def comparison_figures(cards: Sequence[dict]) -> dict[str, Figure | None]:
 def by_area(card: dict) -> Figure | None:
     """Plot people hidden over the cloak's area, at both thresholds, and what the same faces do untrained."""
     beside = {"at_0.6": f"cloak, at {THRESHOLD:g}"}
-    beside |= {f"{control}_own": SERIES[control].label for control in ("random", CLOTHING)}
+    beside |= {f"{control}_own": SERIES[control]["label"] for control in ("random", CLOTHING)}
     rows = [
         row
         | {"at": f"cloak, at the detector's own {card['operating_point']:g}"}

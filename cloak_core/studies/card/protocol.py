@@ -39,6 +39,8 @@ HEADS = {
 """Rows of people in `HEAD_CLOTH`, which covers their heads, too: name -> regions. No headline counts them."""
 GREY_HEAD = "own clothing, head in grey"
 """The control of these rows: own clothing, and the head in grey, which alone may hide somebody."""
+MEASURED, AT_LEAST = "measured", "at least"
+"""How sure a figure is."""
 BESIDE = (CLOTHING, "random")
 """Controls beside every cloak."""
 ROWS = "rows"
@@ -115,10 +117,13 @@ class Part:
         stem = "".join(letter if letter.isalnum() or letter in "-_=" else "-" for letter in self.name)
         return [f"{stem}.{k}.npz" for k in range(self.repetitions)]
 
-    @property
-    def enough(self) -> int:
-        """Updates below which its attack is short."""
-        return ENOUGH_LARGEST if self.area == AREAS[-1] else ENOUGH
+    def state(self, partial_gradient: str) -> str:
+        """Tell how sure its attack is: at least, where it was short or followed a part of the gradient alone.
+
+        One that was not trained against the detector itself is measured.
+        """
+        enough = ENOUGH_LARGEST if self.area == AREAS[-1] else ENOUGH
+        return AT_LEAST if self.steps and (self.steps < enough or partial_gradient) else MEASURED
 
 
 def part_of_area(area: float) -> str:

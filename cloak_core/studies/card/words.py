@@ -6,18 +6,17 @@ followed a part of the gradient alone; or "not measured".
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from cloak_core.detectors.defended.table import split_defence
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.specs import without_folders
-from cloak_core.studies.card.protocol import AGAINST, GREY_HEAD, HEADS, UNTRAINED, Part
+from cloak_core.studies.card.protocol import AGAINST, AT_LEAST, GREY_HEAD, HEADS, MEASURED, UNTRAINED
 from cloak_core.studies.hardening.student import TRAINABLE
 from cloak_core.studies.report.words import interval, percent, short_name
 from cloak_core.zoo.entry import MARK
 
-MEASURED, AT_LEAST, NOT_MEASURED = "measured", "at least", "not measured"
+NOT_MEASURED = "not measured"
 GOOD, HALF = 0.9, 0.5
 ALWAYS = (
     "Printed cloth before a real camera: clothes here are rendered, or laid on photographs by computation.",
@@ -35,11 +34,6 @@ def name_of(card: dict) -> str:
 # --- how sure
 
 
-def state_of_attack(part: Part, partial_gradient: str) -> str:
-    """Tell how sure a part's attack is; one that was not trained against the detector itself is measured."""
-    return AT_LEAST if part.steps and (part.steps < part.enough or partial_gradient) else MEASURED
-
-
 def state(row: dict | None) -> str:
     """Tell how sure a row of a card is; one that is not there was not measured."""
     return NOT_MEASURED if not row else row["state"]
@@ -55,45 +49,41 @@ def shown(row: dict | None, key: str = "success_own") -> str:
 def whole(card: dict) -> str:
     """Tell how sure a card is of the strongest attack: at most "at least" without a white box that was measured."""
     sure = bool(card["white_box"]) and all(state(row) == MEASURED for row in card["white_box"])
-    return MEASURED if sure else AT_LEAST if any(attacks(card)) else NOT_MEASURED
+    return MEASURED if sure else AT_LEAST if attacks(card) else NOT_MEASURED
 
 
-@dataclass(frozen=True)
-class Attack:
-    """An attack of a card, and what it did."""
+def attacks(card: dict) -> list[dict]:
+    """List the row of every attack of a card, on people in photographs first, then on rendered bodies.
 
-    worn: str
-    """In words: "a cloak on 76 % of the body, made against it"."""
-    row: dict
-    photographed: bool = False
-    in_photographs: str = ""
-    """Of an attack on rendered bodies: what people in photographs call the same cloth; "" where they never wear it."""
+    Each row also says what was `worn`, in words, whether by people in photographs (`photographed`), and for rendered
+    bodies what people in photographs call the same cloth (`again`, "" where they never wear it).
+    """
+    listed = []
 
+    def add(worn: str, row: dict, again: str = "", photographed: bool = False) -> None:
+        listed.append(row | {"worn": worn, "again": again, "photographed": photographed})
 
-def attacks(card: dict) -> Iterator[Attack]:
-    """List every attack of a card: on people in photographs, then on rendered bodies."""
     for name, row in worn_rows(card).items():
         pattern, _, is_pattern = name.partition("@")
         strange = f"the pattern {pattern}" if is_pattern else f"{name}, made against other detectors,"
-        yield Attack("a cloak made against it" if name == AGAINST else strange, row, photographed=True)
+        add("a cloak made against it" if name == AGAINST else strange, row, photographed=True)
     for row in card["white_box"]:
         largest = AGAINST if row is card["white_box"][-1] else ""
-        worn = f"a cloak on {percent(row['area'])} of the body, made against it,"
-        yield Attack(worn, row, in_photographs=largest)
+        add(f"a cloak on {percent(row['area'])} of the body, made against it,", row, largest)
     if card.get("around"):
-        yield Attack("a cloak for all sides, made against it,", card["around"])
+        add("a cloak for all sides, made against it,", card["around"])
     for row in card.get("patterns") or []:
-        yield Attack(f"the pattern {row['name'].partition('@')[0]}", row, in_photographs=row["name"])
+        add(f"the pattern {row['name'].partition('@')[0]}", row, row["name"])
     for row in card["black_box"]["zoo"]:
         if not row["trained_against_it"]:
-            worn = f"{row['name']}, made against other detectors,"
-            yield Attack(worn, row, in_photographs=MARK + row["name"])
+            add(f"{row['name']}, made against other detectors,", row, MARK + row["name"])
+    return listed
 
 
-def strongest(card: dict, photographed: bool | None = None) -> Attack | None:
+def strongest(card: dict, photographed: bool | None = None) -> dict | None:
     """Find the attack that hides most people at the detector's own threshold; of equal ones, the photographs'."""
-    chosen = [attack for attack in attacks(card) if photographed in (None, attack.photographed)]
-    return max(chosen, key=lambda attack: attack.row["success_own"], default=None)
+    chosen = [row for row in attacks(card) if photographed in (None, row["photographed"])]
+    return max(chosen, key=lambda row: row["success_own"], default=None)
 
 
 def worn_rows(card: dict) -> dict[str, dict]:
@@ -126,10 +116,10 @@ def lines(card: dict) -> list[dict]:
         attack = strongest(card, photographed)
         if attack is None:
             continue
-        row = attack.row | {"state": AT_LEAST if AT_LEAST in (state(attack.row), whole(card)) else MEASURED}
+        row = attack | {"state": AT_LEAST if AT_LEAST in (attack["state"], whole(card)) else MEASURED}
         where = "In photographs" if photographed else "On rendered bodies"
         share = shown(row).replace("≥", "at least")
-        sentence = f"{where}, {attack.worn} hides {share} of people from {name_of(card)}."
+        sentence = f"{where}, {attack['worn']} hides {share} of people from {name_of(card)}."
         what = "of people in photographs hidden" if photographed else "of people hidden, rendered"
         rows.append(_tile(what, row) | {"said": sentence})
     return rows
@@ -145,10 +135,10 @@ def relation(card: dict) -> str:
         return "Nobody attacked it who has the network."
     if not card.get("photographs"):
         return "Nobody in photographs was shown: renders alone say little of them."
-    again = worn_rows(card).get(rendered.in_photographs)
+    again = worn_rows(card).get(rendered["again"])
     if again is None:
         return "In photographs nobody wore that cloak: its figure is one of renders alone."
-    apart = again["ci95_own"][1] < rendered.row["ci95_own"][0]
+    apart = again["ci95_own"][1] < rendered["ci95_own"][0]
     carries = "what hides on renders does not hide there" if apart else "within their intervals the two agree"
     bounds = interval(again["ci95_own"])
     return f"Worn in photographs, the same cloth hides {shown(again)} (95 % interval {bounds}): {carries}."
@@ -161,9 +151,9 @@ def judge(card: dict) -> tuple[str, str, str]:
     reaches half. unknown: else. To be done first is what is bad without any attack.
     """
     clean, rows, most = card["clean"], card["white_box"], strongest(card)
-    if most is not None and most.row["success_own"] >= HALF:
+    if most is not None and most["success_own"] >= HALF:
         hiding = [row["asked"] for row in rows if row["success_own"] >= HALF]
-        by = f"{percent(min(hiding))} of the body" if hiding else most.worn.rstrip(",")
+        by = f"{percent(min(hiding))} of the body" if hiding else most["worn"].rstrip(",")
         can_be_hardened = split_defence(card["spec"]) is None and parse_spec(card["spec"]).family in TRAINABLE
         hardening = f", harden it (cloak harden {without_folders(card['spec'])})" if can_be_hardened else ""
         kind, badge = "bad", f"hidden by {by}"
@@ -178,7 +168,7 @@ def judge(card: dict) -> tuple[str, str, str]:
         kind, badge = "unknown", "white box short of the protocol"
         why = ", they follow a part of its gradient alone" if card["partial_gradient"] else ""
         advice = f"Do not take these figures for its limit: its attacks were short of the protocol{why}."
-    elif any(attack.row["ci95_own"][1] >= HALF for attack in attacks(card)):
+    elif any(row["ci95_own"][1] >= HALF for row in attacks(card)):
         kind, badge = "unknown", "no attack hid half"
         advice = "Put a second sensor beside it where much depends on it: the intervals of its attacks reach half."
     else:

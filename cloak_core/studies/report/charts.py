@@ -177,8 +177,7 @@ class Lines:
         for k, (key, label) in enumerate(self.beside.items()):
             axis.plot(x, column(rows, key), mfc="white", **look_of(k + 1) | {"label": label})
         if self.clothing and first:
-            own = SERIES[CLOTHING]
-            axis.plot(x, column(rows, CLOTHING), color=INK, lw=1.2, ls=":", marker=own.marker, label=own.label)
+            axis.plot(x, column(rows, CLOTHING), lw=1.2, **SERIES[CLOTHING] | {"color": INK, "ls": ":"})
 
     def _x_axis(self, axis: Axes, values: Sequence[float | int]) -> None:
         axis.set_xlabel(AXES.get(self.x, self.x.replace("_", " ")))
@@ -244,7 +243,7 @@ class Bars:
         if self.own:
             own = panel_rows, ("success_own", "own_low", "own_high"), None
             return {f"threshold {THRESHOLD:g}": (panel_rows, (), None), "own operating point": own}
-        labels = self.labels or ({"": SERIES[LOGO].label} if self.controls else {})
+        labels = self.labels or ({"": SERIES[LOGO]["label"]} if self.controls else {})
         return {
             labels.get(value, str(value)): (
                 select(panel_rows, **{self.series: value}) if self.series else panel_rows,
@@ -272,7 +271,7 @@ class Rings:
             axis.plot(at, floats(closed), **look)
         axis.fill_between(at, floats(closed, "low"), floats(closed, "high"), color=look["color"], alpha=0.12, lw=0)
         if CLOTHING in panel_rows[0]:
-            axis.plot(at, column(closed, CLOTHING), color=INK, ls=":", lw=1.2, label=SERIES[CLOTHING].label)
+            axis.plot(at, column(closed, CLOTHING), color=INK, ls=":", lw=1.2, label=SERIES[CLOTHING]["label"])
         axis.set_theta_zero_location("S")  # the front at the bottom, as the camera sees it at azimuth 0
         axis.set_ylim(0, 1)
         axis.set_rlabel_position(135)

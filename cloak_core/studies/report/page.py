@@ -48,7 +48,7 @@ def _environment() -> jinja2.Environment:
     filters += (words.most_named, words.plain, inside, boxed)
     environment.filters |= {write.__name__: write for write in filters}
     environment.filters["record"] = lambda value: value if isinstance(value, dict) else {}
-    environment.filters["control_label"] = lambda name: SERIES[name].label if name in SERIES else name
+    environment.filters["control_label"] = lambda name: SERIES[name]["label"] if name in SERIES else name
     return environment
 
 

@@ -176,7 +176,7 @@ def transfer_map(ladder: Mapping[str, Sequence[dict]]) -> Figure:
     if len(ladder) == 1:
         rows["nothing reported at 0.6"] = {name: cell.get("gone") for name, cell in last.items()}
     for control in ("random", CLOTHING):
-        rows[SERIES[control].label] = {name: cell[control] for name, cell in last.items()}
+        rows[SERIES[control]["label"]] = {name: cell[control] for name, cell in last.items()}
     shares = pd.DataFrame(rows, index=list(last), dtype=float).T
     shares = shares.assign(mean=shares.mean(axis=1))
     columns = [*(short_name(name) + MARKS[cell["kin"]] for name, cell in last.items()), "mean"]

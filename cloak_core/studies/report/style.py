@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,29 +14,18 @@ from matplotlib.textpath import TextPath
 
 from cloak_core.files.writing import replace_file
 
-
-@dataclass(frozen=True)
-class Series:
-    """How one series is drawn; marker and dash tell it apart in grey."""
-
-    label: str
-    color: str
-    marker: str
-    dash: str | tuple
-
-
-# Colours by Okabe and Ito (2008), ordered so that their greys differ too.
+# Colours by Okabe and Ito (2008), ordered so that their greys differ too; marker and dash tell series apart in grey.
 SERIES = {
-    "logo": Series("trained colours", "#0072b2", "o", "-"),
-    "clothing": Series("own clothing", "#d55e00", "s", "--"),
-    "grey": Series("grey", "#7a7a7a", "D", ":"),
-    "random": Series("random colours", "#cc79a7", "^", "-."),
-    "stripes": Series("stripes", "#009e73", "v", (0, (5, 1, 1, 1, 1, 1))),
-    "checks": Series("checks", "#b8860b", "P", (0, (1, 1))),
+    "logo": {"label": "trained colours", "color": "#0072b2", "marker": "o", "ls": "-"},
+    "clothing": {"label": "own clothing", "color": "#d55e00", "marker": "s", "ls": "--"},
+    "grey": {"label": "grey", "color": "#7a7a7a", "marker": "D", "ls": ":"},
+    "random": {"label": "random colours", "color": "#cc79a7", "marker": "^", "ls": "-."},
+    "stripes": {"label": "stripes", "color": "#009e73", "marker": "v", "ls": (0, (5, 1, 1, 1, 1, 1))},
+    "checks": {"label": "checks", "color": "#b8860b", "marker": "P", "ls": (0, (1, 1))},
 }
-"""Of the logo and its controls."""
+"""How the logo and its controls are drawn, as matplotlib takes it."""
 CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a7a")
-_COLORS = dict.fromkeys([*(series.color for series in SERIES.values()), *CYCLE])
+_COLORS = dict.fromkeys([*(series["color"] for series in SERIES.values()), *CYCLE])
 MARKERS = "osD^vPX"
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 INK, FAINT = "#1f2328", "#d5d9de"
@@ -97,10 +85,7 @@ def new_figure(width: float = WIDTH, height: float = 2.9, columns: int = 1, **ax
 
 def look_of(k: int, value: object = None) -> dict:
     """Look up colour, marker, dash and label of the logo or a control, or of the k-th of other series."""
-    if value in SERIES:
-        series = SERIES[value]
-        return {"color": series.color, "marker": series.marker, "ls": series.dash, "label": series.label}
-    return {"color": CYCLE[k % 7], "marker": MARKERS[k % 7], "ls": DASHES[k % 7]}
+    return SERIES.get(value) or {"color": CYCLE[k % 7], "marker": MARKERS[k % 7], "ls": DASHES[k % 7]}
 
 
 def percent_axis(axis: object, label: str = "attack success") -> None:
