@@ -40,26 +40,29 @@ FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 NOTHING = Kind("null", lambda value: value is None)
 
 
-def check_shape(value: object, shape: Shape, what: str, place: str = "") -> None:
-    """Check a value and all within it. InputError: `what`, the place in it, and what is asked for there."""
+def check_shape(value: object, shape: Shape, what: str, place: str = "") -> object:
+    """Check a value and all within it; return a copy that holds what the shape names, and nothing else.
+
+    InputError: `what`, the place in it, and what is asked for there.
+    """
     if isinstance(shape, Kind):
         _require(shape.fits(value), value, shape.words, what, place)
-    elif isinstance(shape, list):
+        return value
+    if isinstance(shape, list):
         _require(isinstance(value, list), value, "a list", what, place)
-        for number, part in enumerate(value):
-            check_shape(part, shape[0], what, f"{place}[{number}]")
-    else:
-        _require(isinstance(value, dict), value, "a record", what, place)
-        before = f"{place}." if place else ""
-        named = {key.removesuffix("?"): inner for key, inner in shape.items() if key != "*"}
-        for key, inner in named.items():
-            if key in value:
-                check_shape(value[key], inner, what, f"{before}{key}")
-            elif f"{key}?" not in shape:
-                raise InputError(f"{what}: {place or 'the record'} has no '{key}'")
-        for key in value.keys() - named.keys() if "*" in shape else ():
-            _require(key.isprintable(), key, "a name that can be printed", what, before)
-            check_shape(value[key], shape["*"], what, f"{before}{key}")
+        return [check_shape(part, shape[0], what, f"{place}[{number}]") for number, part in enumerate(value)]
+    _require(isinstance(value, dict), value, "a record", what, place)
+    before, checked = f"{place}." if place else "", {}
+    named = {key.removesuffix("?"): inner for key, inner in shape.items() if key != "*"}
+    for key, inner in named.items():
+        if key in value:
+            checked[key] = check_shape(value[key], inner, what, f"{before}{key}")
+        elif f"{key}?" not in shape:
+            raise InputError(f"{what}: {place or 'the record'} has no '{key}'")
+    for key in [key for key in value if key not in named] if "*" in shape else ():
+        _require(key.isprintable(), key, "a name that can be printed", what, before)
+        checked[key] = check_shape(value[key], shape["*"], what, f"{before}{key}")
+    return checked
 
 
 def _require(fits: bool, value: object, words: str, what: str, place: str) -> None:

@@ -25,7 +25,7 @@ from cloak_core.core.pictures import open_picture, save_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.files.reading import MAX_JSON_BYTES, is_number, read_json
-from cloak_core.files.records import FLAG, NOTHING, NUMBER, SHARE, Kind, Shape, check_shape
+from cloak_core.files.records import FLAG, NOTHING, NUMBER, SHARE, Kind, check_shape
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.sources.photographs.fits import UNCOVERED, UNFIT
 from cloak_core.studies.card.figures import card_of, differences, fixed
@@ -113,28 +113,6 @@ PICTURES = {
 """What pictures.json says."""
 
 
-def take(shape: Shape, record: dict, path: str) -> dict:
-    """Copy what a shape names of a record, and nothing else; null is as good as a missing value.
-
-    InputError: `path`, and the place of what is missing or of another kind.
-    """
-    stated = {key: value for key, value in record.items() if value is not None}
-    check_shape(stated, shape, path)
-    return _named(shape, stated)
-
-
-def _named(shape: Shape, value: object) -> object:
-    """Copy what a shape names of a value that fits it."""
-    if isinstance(shape, list):
-        return [_named(shape[0], inner) for inner in value]
-    if not isinstance(shape, dict):
-        return value
-    shapes = {key.removesuffix("?"): inner for key, inner in shape.items()}
-    if "*" in shape:
-        return {key: _named(shape["*"], inner) for key, inner in value.items()}
-    return {key: _named(inner, value[key]) for key, inner in shapes.items() if key in value}
-
-
 # --- its folder
 
 
@@ -161,7 +139,8 @@ def read_told(folder: Path) -> tuple[dict, dict, Size]:
     """Read what a card says, what of it only itself can say (`CARD`), and its size. InputError: see there."""
     path = _plain(folder, "card.json", most=MAX_JSON_BYTES)
     content = read_card(path)
-    stated = take(CARD, content, str(path))
+    # null is as good as a missing value
+    stated = check_shape({key: value for key, value in content.items() if value is not None}, CARD, str(path))
     if stated["size"] not in SIZES:
         raise InputError(f"{path}: size is {stated['size']!r}, none of {', '.join(SIZES)}")
     if list(stated["materials"]["detectors"]) != [stated["spec"]]:
@@ -270,7 +249,7 @@ def _asked_of_people(stated: Mapping, results: Results, size: Size) -> dict[str,
 def _read_pictures(folder: Path, rows: dict[str, list[Results]], size: Size) -> tuple[dict, dict[str, Image.Image]]:
     """Read pictures.json and the pictures that it names; what a picture shows has to be what the rows say."""
     path = _plain(folder, "pictures.json", most=MAX_JSON_BYTES)
-    stated, images = take(PICTURES, read_json(path), str(path)), {}
+    stated, images = check_shape(read_json(path), PICTURES, str(path)), {}
     for part, shown, files, most in _listed(stated, size):
         if "trial" in shown:
             _hold(path, describe(pool(rows[part]), shown["trial"]), {key: shown[key] for key in DESCRIBED})
