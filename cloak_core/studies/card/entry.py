@@ -44,6 +44,7 @@ from cloak_core.studies.card.protocol import (
 )
 from cloak_core.studies.report.page import MAX_PICTURE
 from cloak_core.studies.report.pictures import SAVING, describe
+from cloak_core.studies.report.stored import BOX
 from cloak_core.studies.report.words import file_name
 
 MAX_ROWS = 64 << 20
@@ -70,7 +71,6 @@ NAME = Kind("a name", lambda value: _is_text(value) and bool(re.fullmatch(r"[^/\
 FILE = Kind("the name of a picture", lambda value: _is_text(value) and bool(re.fullmatch(r"[\w-]+\.(jpg|png)", value)))
 DIGEST = Kind("a SHA-256", lambda value: isinstance(value, str) and bool(re.fullmatch("[0-9a-f]{64}", value)))
 COUNT = Kind("a count", lambda value: is_number(value) and isinstance(value, int) and 0 <= value < 1 << 31)
-BOX = Kind("a box", lambda value: isinstance(value, list) and len(value) == 5 and all(map(is_number, value)))
 
 BODIES = {"name": TEXT, "poses": [TEXT], "outfits": COUNT, "faces": COUNT, "sha256": DIGEST}
 BACKGROUNDS = {"count": COUNT, "sha256": DIGEST}

@@ -40,25 +40,13 @@ def is_earlier_on_people(folder: Path) -> bool:
     return path.is_file() and "white_box" in read_json(path)
 
 
-def read_evaluation(folder: Path) -> StoredEvaluation:
-    """Read what `write_evaluation` wrote; InputError names what is missing, damaged or of another type."""
-    stored = StoredEvaluation(
-        folder=folder,
-        summary=read_json(folder / "summary.json"),
-        pictures=read_json(folder / "pictures.json"),
-        results=read_results(folder / "scores.npz"),
-    )
-    check_stored(folder, stored.summary, stored.pictures, stored.results)
-    return stored
-
-
 # --- what a report needs of summary.json and pictures.json
 
 _BOUNDS = Kind(
     "two numbers from 0 to 1",
     lambda value: isinstance(value, list) and len(value) == 2 and all((SHARE | NOTHING).fits(x) for x in value),
 )
-_BOX = Kind(
+BOX = Kind(
     "a box x1, y1, x2, y2 and its score",
     lambda value: isinstance(value, list) and len(value) == 5 and all(map(NUMBER.fits, value)),
 )
@@ -79,40 +67,46 @@ _SUCCESS = {
     "gone?": SHARE | NOTHING,
     "named?": _NAMED | NOTHING,
 }
-_SHOT = {"file": TEXT, "scores": {"*": NUMBER}, "boxes": {"*": [_BOX]}}
-_PAIR = {"body": TEXT | NOTHING, "angle": NUMBER | NOTHING, "distance?": NUMBER | NOTHING, "background": TEXT | NOTHING}
-_PAIR |= {"clothing": _SHOT, "logo": _SHOT}
+_SHOT = {"file": TEXT, "scores": {"*": NUMBER}, "boxes": {"*": [BOX]}}
+_TRIAL = {
+    "body": TEXT | NOTHING,
+    "angle": NUMBER | NOTHING,
+    "distance?": NUMBER | NOTHING,
+    "background": TEXT | NOTHING,
+}
+_PAIR = _TRIAL | {"clothing": _SHOT, "logo": _SHOT}
 
 
-def check_stored(folder: Path, summary: dict, pictures: dict, results: Results) -> None:
-    """Check an evaluation's files against what a report shows. InputError: the file and the place that do not fit."""
-    controls = results.controls
-    detector = {control: _SUCCESS for control in controls}
-    detector |= {"by_body": {"*": {}}, "average_precision": {control: SHARE | NOTHING for control in controls}}
-    specs = results.detectors
+def read_evaluation(folder: Path) -> StoredEvaluation:
+    """Read what `write_evaluation` wrote; InputError names what is missing, damaged or of another type."""
+    summary, pictures = read_json(folder / "summary.json"), read_json(folder / "pictures.json")
+    results = read_results(folder / "scores.npz")
+    controls, specs = results.controls, results.detectors
+    detector = dict.fromkeys(controls, _SUCCESS)
+    detector |= {"by_body": {"*": {}}, "average_precision": dict.fromkeys(controls, SHARE | NOTHING)}
     shape = {
         "n": WHOLE,
-        "detectors": {spec: detector for spec in specs},
-        "false_alarms": {spec: SHARE | NOTHING for spec in specs},
+        "detectors": dict.fromkeys(specs, detector),
+        "false_alarms": dict.fromkeys(specs, SHARE | NOTHING),
         "unseen": {"*": FLAG | NOTHING},
         "warnings": [TEXT],
         "operating_points?": {"*": NUMBER | NOTHING},
         "white_box?": {"*": FLAG | NOTHING},
         "settings": {"threshold": SHARE, "size": WHOLE, "angles?": [NUMBER], "distances?": [NUMBER]},
-        "inputs": {"bodies?": [TEXT], "detector_hashes": {spec: TEXT for spec in specs}},
+        "inputs": {"bodies?": [TEXT], "detector_hashes": dict.fromkeys(specs, TEXT)},
     }
     path = folder / "summary.json"
     check_shape(summary, shape, str(path))
     if set(summary["detectors"]) != set(specs):
         raise InputError(f"{path}: detectors are {', '.join(summary['detectors'])}, in scores.npz {', '.join(specs)}")
     shown = {
-        "thresholds?": {spec: NUMBER for spec in specs},
+        "thresholds?": dict.fromkeys(specs, NUMBER),
         "gallery": [_PAIR],
         "failures": {"*": [_PAIR]},
         "worst?": {"*": [_PAIR | {"success": SHARE}]},
-        "controls": {key: kind for key, kind in _PAIR.items() if key not in ("clothing", "logo")}
-        | {"images": {control: _SHOT for control in controls}},
+        "controls": _TRIAL | {"images": dict.fromkeys(controls, _SHOT)},
         "flat": {"*": TEXT},
         "turntable?": TEXT,
     }
     check_shape(pictures, shown, str(folder / "pictures.json"))
+    return StoredEvaluation(folder, summary, pictures, results)
