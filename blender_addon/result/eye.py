@@ -78,9 +78,9 @@ class Eye(Job):
         self._folder = folder
         self._answer = folder / "look.json"
         self._program = trainer()
-        self._shape: tuple = ()
+        self._about: tuple = ()
         self._exported: tuple = ()
-        self._fitting: tuple[tuple, Path | None] = (), None
+        self._run: Path | None = None
         self._ask_these(judges(settings), settings.device)
 
     def _ask_these(self, specs: tuple[str, ...], device: str) -> None:
@@ -135,10 +135,11 @@ class Eye(Job):
     def _ask(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
         """Ask what the detectors see from here, if anything has changed since the last question."""
         viewpoint = self._viewpoint(context, obj).sized(LONGEST)
-        settings, run = context.scene.cloak, self._run(obj)
+        settings = context.scene.cloak
         if reason := worn_reason(obj):
             raise InputError(reason)
-        self._export(context, obj, run)
+        self._prepare(context, obj)
+        run = self._run
         request = {"scene": str(self._folder / "scene"), "out": str(self._folder), **asdict(viewpoint)}
         request["background"] = settings.judging.eye_background
         if settings.backgrounds:
@@ -156,17 +157,6 @@ class Eye(Job):
             self._process.stdin.flush()
         self._asked, self._asked_from, self.waiting = (request, self._exported, stamp), viewpoint, True
 
-    def _run(self, obj: bpy.types.Object) -> Path | None:
-        """The run that the body wears, where that was trained on these faces; asked anew where either has changed."""
-        run = run_of(obj)
-        key = (session.mesh_changes, obj.cloak.run, run is not None and (run / "logo.npy").is_file())
-        if self._fitting[0] != key:
-            self._fitting = key, None
-            with suppress(InputError):
-                if key[-1] and trained_faces(run)[1] == topology(obj):
-                    self._fitting = key, run
-        return self._fitting[1]
-
     def _viewpoint(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
         if context.scene.cloak.judging.eye_from == "CAMERA":
             return of_camera(context.scene, obj)
@@ -176,24 +166,28 @@ class Eye(Job):
         region, view = next((pair for pair in views if pair[0].as_pointer() == self.region), views[0])
         return of_view(context.scene, region, view, obj)
 
-    def _export(self, context: bpy.types.Context, obj: bpy.types.Object, run: Path | None) -> None:
-        """Export the current body if it changed, by a hash of where the evaluated vertices are."""
+    def _prepare(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
+        """Find the run that the body wears, and export the body, where either has changed."""
         if obj.mode == "EDIT":
             raise InputError("Leave Edit Mode (Tab): the detector looks at the body as it then is")
-        worn = worn_by(obj)
-        matrix = tuple(value for row in obj.matrix_world for value in row)
-        about = (str(run), is_cloth(run), tuple(o.name for o in worn), matrix)
-        if (session.mesh_changes, *about) == self._shape:
+        worn, run = worn_by(obj), run_of(obj)
+        there = run is not None and (run / "logo.npy").is_file()
+        about = (str(run), there, is_cloth(run), tuple(o.name for o in worn), tuple(map(tuple, obj.matrix_world)))
+        if (session.mesh_changes, *about) == self._about:
             return
+        self._run = None
+        with suppress(InputError):
+            if there and trained_faces(run)[1] == topology(obj):
+                self._run = run
         graph, points = context.evaluated_depsgraph_get(), []
         for one in (obj, *worn):
             with evaluated_mesh(one, graph) as (mesh, to_scene):
                 points += [to_world(vertex_points(mesh), to_scene), np.array(len(mesh.polygons))]
-        shape = (sha256_arrays(*points), *about)
+        shape = (sha256_arrays(*points), str(self._run), *about)
         if shape != self._exported:
-            export_worn(context, obj, run, PoseChoice(), self._folder / "scene")
+            export_worn(context, obj, self._run, PoseChoice(), self._folder / "scene")
             self._exported = shape
-        self._shape = (session.mesh_changes, *about)  # exporting may itself have counted as a change
+        self._about = (session.mesh_changes, *about)  # exporting may itself have counted as a change
 
 
 # --- over the viewport -----------------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
     once = {sector.azimuth % 360: sector for sector in sectors}
     azimuths = np.sort(list(once))
     width = min(WIDEST, float(np.diff(azimuths, append=azimuths[0] + 360).min()))  # from one azimuth to the next
-    turns = on_circle(np.linspace(-0.45, 0.45, max(1, math.ceil(width / STEP)) + 1) * width + azimuths[:, None])
+    turns = on_circle(np.linspace(-0.48, 0.48, max(1, math.ceil(width / STEP)) + 1) * width + azimuths[:, None])
     places, paints = [], []
     for sector, turn in zip(map(once.get, azimuths.tolist()), turns, strict=True):
         a, b = turn[:-1], turn[1:]
