@@ -40,8 +40,11 @@ CONTROLS = {"logo": "Cloak", "clothing": "Own clothing", "grey": "Grey", "random
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of images in which the detector reports no person, with its 95 % interval; None where unknown."""
+    """A share of images in which one detector reports no person, with its 95 % interval; None where unknown."""
 
+    spec: str
+    name: str  # what is worn: of `CONTROLS`, or a run
+    threshold: float  # the score from which on a person counts as reported
     value: float | None
     low: float | None
     high: float | None
@@ -56,7 +59,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class Sector:
-    """Success at one azimuth."""
+    """Success at one azimuth, of several detectors the lowest."""
 
     azimuth: float  # degrees; 0 looks at the front, positive ones stand to the body's left
     cloak: float
@@ -65,20 +68,12 @@ class Sector:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What one detector made of the images."""
-
-    spec: str
-    operating_point: float | None
-    rates: dict[str, tuple[Rate, Rate]]  # by control: at the threshold, and at the detector's own point
-    sectors: tuple[Sector, ...]
-
-
-@dataclass(frozen=True)
 class Evaluation:
     """An evaluation."""
 
-    detectors: tuple[Judged, ...]
+    detectors: tuple[str, ...]
+    rates: tuple[Rate, ...]  # by detector: at the common threshold, then at its own
+    sectors: tuple[Sector, ...]
     threshold: float
     images: int
     unseen: dict[str, bool | None]
@@ -91,10 +86,10 @@ class Evaluation:
         parts = [words[self.unseen.get(what)].format(what) for what in ("bodies", "backgrounds")]
         return f"{self.images:,} images of each kind, {' and '.join(parts)}"
 
-    def worst_sectors(self) -> tuple[Sector, ...]:
-        """Return the lowest success over the detectors for each azimuth."""
-        sectors = sorted(chain(*(d.sectors for d in self.detectors)), key=lambda sector: (sector.azimuth, sector.cloak))
-        return tuple(next(group) for _, group in groupby(sectors, key=lambda sector: sector.azimuth))
+    def worst(self) -> dict[str, float]:
+        """The lowest rate over the detectors at the common threshold, by what is worn."""
+        rates = [(rate.value, rate.name) for rate in self.rates if rate.threshold == self.threshold]
+        return {name: value for value, name in sorted((r for r in rates if r[0] is not None), reverse=True)}
 
 
 def read_evaluation(run: Path) -> Evaluation | None:
@@ -102,36 +97,39 @@ def read_evaluation(run: Path) -> Evaluation | None:
     path = run / SUMMARY
     try:
         summary = read_json(path)
-        detectors = read_judged(summary, CONTROLS)
-        unseen = {what: summary.get("unseen", {}).get(what) for what in ("bodies", "backgrounds")}
         threshold = float(summary.get("settings", {}).get("threshold", THRESHOLD))
-        images = int(summary.get("n") or sum(sector.images for sector in detectors[0].sectors))
+        rates, sectors = read_rates(summary, threshold, CONTROLS), _sectors(summary)
+        unseen = {what: summary.get("unseen", {}).get(what) for what in ("bodies", "backgrounds")}
+        images = int(summary.get("n") or sum(sector.images for sector in sectors))
         outdated = (run / "colors.npy").stat().st_mtime > path.stat().st_mtime
+        return Evaluation(tuple(summary["detectors"]), rates, sectors, threshold, images, unseen, outdated)
     except UNREADABLE:
         return None
-    return Evaluation(detectors, threshold, images, unseen, outdated)
 
 
-def read_judged(record: dict, names: Iterable[str] = ()) -> tuple[Judged, ...]:
-    """Each detector's rates in an answer of the trainer, of what has these names; of all that has rates for none."""
-    detectors = []
+def read_rates(record: dict, threshold: float, names: Iterable[str] = ()) -> tuple[Rate, ...]:
+    """The rates in an answer of the trainer of what has these names; of all that has rates for none."""
+    rates = []
     for spec, answer in record["detectors"].items():
-        known = [name for name in names or answer if isinstance(answer.get(name), dict)]
-        rates = {name: (_rate(answer[name], ""), _rate(answer[name], "_own")) for name in known}
-        sectors = []
-        for name, measured in answer.get("by_angle", {}).items():
-            azimuth, cloak, images = float(name), finite(measured.get("success")), int(measured.get("n") or 0)
-            if cloak is not None and images:
-                detected = measured.get("n_conditional")  # images in which the body was found in its own clothing
-                clothing = 1 - detected / images if isinstance(detected, int) else None
-                sectors.append(Sector(azimuth, cloak, clothing, images))
-        detectors.append(Judged(spec, record.get("operating_points", {}).get(spec), rates, tuple(sectors)))
-    return tuple(detectors)
+        own = record.get("operating_points", {}).get(spec)
+        known = [(name, answer[name]) for name in names or answer if isinstance(answer.get(name), dict)]
+        for at, suffix in ((threshold, ""), *([(own, "_own")] if own not in (None, threshold) else [])):
+            for name, told in known:
+                values = (told.get(f"success{suffix}"), *(told.get(f"ci95{suffix}") or (None, None)))
+                rates.append(Rate(spec, name, at, *map(finite, values)))
+    return tuple(rates)
 
 
-def _rate(record: dict, suffix: str) -> Rate:
-    low, high = record.get(f"ci95{suffix}") or (None, None)
-    return Rate(finite(record.get(f"success{suffix}")), finite(low), finite(high))
+def _sectors(record: dict) -> tuple[Sector, ...]:
+    sectors = []
+    for name, measured in chain(*(answer.get("by_angle", {}).items() for answer in record["detectors"].values())):
+        azimuth, cloak, images = float(name), finite(measured.get("success")), int(measured.get("n") or 0)
+        if cloak is not None and images:
+            detected = measured.get("n_conditional")  # images in which the body was found in its own clothing
+            clothing = 1 - detected / images if isinstance(detected, int) else None
+            sectors.append(Sector(azimuth, cloak, clothing, images))
+    sectors.sort(key=lambda sector: (sector.azimuth, sector.cloak))
+    return tuple(next(group) for _, group in groupby(sectors, key=lambda sector: sector.azimuth))
 
 
 def kept_back(run: Path) -> bool:
@@ -272,7 +270,7 @@ class Worn:
     folder: Path
     people: int
     left_out: int
-    detectors: tuple[Judged, ...]
+    rates: tuple[Rate, ...]
     pictures: tuple[Path, ...]
 
 
@@ -284,6 +282,6 @@ def last_worn(run: Path) -> Worn | None:
         left = sum(int(count) for count in (record.get("left_out") or {}).values())
         paths = [path for path in folder.rglob("pictures/*/*") if path.suffix.lower() in PICTURES]
         pictures = sorted(paths, key=lambda path: (path.parent, not path.stem.startswith("before"), path.name))
-        return Worn(folder, int(record["people"]), left, read_judged(record), tuple(pictures))
+        return Worn(folder, int(record["people"]), left, read_rates(record, THRESHOLD), tuple(pictures))
     except UNREADABLE:
         return None

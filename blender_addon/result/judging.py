@@ -114,8 +114,8 @@ beside controls on the same images. The result is shown here and as a ring aroun
         run_list.refresh(bpy.context)
         if found is None:
             return None
-        rates = [judged.rates for judged in found.detectors]
-        job.is_bad_news = any((rate["logo"][0].value or 0) <= (rate["clothing"][0].value or 0) for rate in rates)
+        rates = {(r.spec, r.name): r.value or 0 for r in found.rates if r.threshold == found.threshold}
+        job.is_bad_news = any(rates[spec, "logo"] <= rates[spec, "clothing"] for spec in found.detectors)
         outcome = "The cloak hides no more than own clothing does" if job.is_bad_news else "Evaluation done"
         return f"{outcome}: {found.describe()}"
 

@@ -2,6 +2,7 @@
 """Panels of step 5: the trained colours on the model, and what they are worth."""
 
 from collections.abc import Iterable
+from itertools import groupby
 from pathlib import Path
 
 import bpy
@@ -16,7 +17,7 @@ from ..training.runs import run_of
 from ..translations import said
 from ..ui.bases import CloakPanel, figure, settings_column, wrapped
 from ..ui.drawing import icon_of, short
-from .evaluations import CONTROLS, KINDS, THRESHOLD, Judged, Sight, by_detector, last_worn, result_reason
+from .evaluations import CONTROLS, KINDS, Rate, Sight, by_detector, last_worn, result_reason
 from .operators import ready_cloaks
 from .outputs import made
 from .render_check import describe, holds
@@ -25,6 +26,7 @@ COARSE = "Solid view shows the mean of the cloth on each face, Material Preview 
 RENDERS = {"cloak": "With the cloak", "clothing": "Without"}
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
 SEEN_ICON = {True: "HIDE_OFF", False: "HIDE_ON"}  # an eye, open or shut
+HEADS = ("at", "at its own")  # of rates at the common threshold, and at the detector's
 LATEST, SHOWN = 4, 6  # most outputs to list, most people in photographs to show
 SUCCESS = (
     "Share of the images in which the detector reports no person (from this score on), and the interval that holds the "
@@ -49,19 +51,17 @@ def show_sights(layout: bpy.types.UILayout, sights: Iterable[Sight], columns: in
         figure(cells[sight.picture], f"{sight.score:.2f}", SCORE, SEEN_ICON[sight.found])
 
 
-def show_rates(layout: bpy.types.UILayout, judged: Judged, threshold: float) -> None:
-    """Draw a detector's rates: at the common threshold, and at its own below that; side by side they are clipped."""
-    layout.label(text=short(without_folders(judged.spec), 36), icon="HIDE_OFF")
-    heads = [f"at {threshold:g}"]
-    if judged.operating_point is not None and judged.operating_point != threshold:
-        heads.append(f"at its own {judged.operating_point:g}")
-    for index, head in enumerate(heads):
-        table = layout.column(align=True)
-        figure(table, head, SUCCESS, "NONE")
-        for name, rates in judged.rates.items():
-            split = table.split(factor=0.45)
-            figure(split.column(), CONTROLS.get(name, short(name, 24)), CONTROL.get(name, CONTROL["logo"]), "NONE")
-            split.label(text=rates[index].describe())
+def show_rates(layout: bpy.types.UILayout, rates: Iterable[Rate]) -> None:
+    """Draw each detector's rates: at the common threshold, and at its own below that; side by side they are clipped."""
+    for spec, of_spec in groupby(rates, key=lambda rate: rate.spec):
+        layout.label(text=short(without_folders(spec), 36), icon="HIDE_OFF")
+        for head, (at, rows) in zip(HEADS, groupby(of_spec, key=lambda rate: rate.threshold), strict=False):
+            table = layout.column(align=True)
+            figure(table, f"{head} {at:g}", SUCCESS, "NONE")
+            for rate in rows:
+                split, tip = table.split(factor=0.45), CONTROL.get(rate.name, CONTROL["logo"])
+                figure(split.column(), CONTROLS.get(rate.name, short(rate.name, 24)), tip, "NONE")
+                split.label(text=rate.describe())
 
 
 class CLOAK_PT_result(CloakPanel, label="5. Result"):
@@ -129,8 +129,7 @@ class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", train
         job = session.job_of("Evaluation")
         if job is None or evaluation.describe() not in job.message:  # which stands above
             wrapped(self.layout, context, evaluation.describe().capitalize(), icon="INFO")
-        for judged in evaluation.detectors:
-            show_rates(self.layout, judged, evaluation.threshold)
+        show_rates(self.layout, evaluation.rates)
         self.layout.prop(judging, "ring", text="Ring around the Body")
 
 
@@ -188,8 +187,7 @@ class CLOAK_PT_wear(CloakPanel, label="On Photographs", inside="result", trains=
         if worn is None:
             return
         wrapped(self.layout, context, f"{worn.people} people, {worn.left_out} left out; nobody is reported in:")
-        for judged in worn.detectors:
-            show_rates(self.layout, judged, THRESHOLD)
+        show_rates(self.layout, worn.rates)
         grid = self.layout.grid_flow(row_major=True, columns=2, even_columns=True)
         for path in worn.pictures[:SHOWN]:
             cell = grid.column(align=True)

@@ -76,7 +76,7 @@ def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | N
     if obj is None or obj.type != "MESH" or state is None or state.evaluation is None:
         return None
     wanted = context.scene.cloak.judging.ring and obj.visible_get() and obj.data.polygons
-    seen = wanted and state.evaluation.worst_sectors() and is_dressed(obj) and not colors.shows(obj, HEATMAP)
+    seen = wanted and state.evaluation.sectors and is_dressed(obj) and not colors.shows(obj, HEATMAP)
     return (obj, state.evaluation) if seen else None
 
 
@@ -92,7 +92,7 @@ def draw_ring() -> None:
     ring = shown(bpy.context)
     if ring is not None:
         place, extent = stand(ring[0])
-        ring_shape(ring[1].worst_sectors()).draw(Matrix.LocRotScale(place, None, Vector((extent,) * 3)))
+        ring_shape(ring[1].sectors).draw(Matrix.LocRotScale(place, None, Vector((extent,) * 3)))
 
 
 def draw_words() -> None:
@@ -104,7 +104,7 @@ def draw_words() -> None:
     obj, evaluation = ring
     scale = size_of_words(context)
     place, extent = stand(obj)
-    known = {sector.azimuth % 360: sector for sector in evaluation.worst_sectors()}
+    known = {sector.azimuth % 360: sector for sector in evaluation.sectors}
     for azimuth, name in NAMES.items():
         sector = known.get(azimuth)
         x, y = on_circle(azimuth) * extent * TEXT
@@ -118,7 +118,7 @@ def draw_words() -> None:
     for index in range(11):
         fill(start + 10 * index * scale, y - 2 * scale, 10 * scale, 12 * scale, color_of(index / 10))
     write("hidden", start + 116 * scale, y)
-    which = "the worst of several detectors" if len(evaluation.detectors) > 1 else evaluation.detectors[0].spec
+    which = "the worst of several detectors" if len(evaluation.detectors) > 1 else evaluation.detectors[0]
     write(f"Success by azimuth at {evaluation.threshold:g}, {short(which)}", x, y + 3 * step + 4 * scale)
     write("outside: the cloak; inside: own clothing", x, y + 2 * step + 4 * scale)
     earlier = " (of earlier colours)" if evaluation.outdated else ""

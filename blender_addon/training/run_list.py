@@ -64,10 +64,7 @@ class RunState:
     @property
     def unseen(self) -> dict[str, float]:
         """Worst success over the detectors of its evaluation, by control ("logo", "clothing")."""
-        detectors = self.evaluation.detectors if self.evaluation else ()
-        rates = [(name, rate.value) for judged in detectors for name, (rate, _) in judged.rates.items()]
-        known = sorted((name, value) for name, value in rates if value is not None)
-        return dict(reversed(known))  # of several for one name the last one stays: the lowest
+        return self.evaluation.worst() if self.evaluation else {}
 
 
 def find_runs(place: Path) -> list[Path]:

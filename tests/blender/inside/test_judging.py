@@ -30,11 +30,11 @@ def test_evaluate_tells_how_far_it_is_and_what_came_out(dressed, monkeypatch):
     assert job.message == "Evaluation done: 240 images of each kind, unseen bodies and unseen backgrounds"
     run_list.refresh(bpy.context)
     found = run_list.selected(bpy.context).evaluation
-    rates = found.detectors[0].rates
-    assert rates["logo"][0].describe() == "50% (45–55)" and rates["logo"][1].describe() == "25% (10–20)"
-    assert rates["clothing"][0].value == 0.1
+    rates = {(rate.name, rate.threshold): rate for rate in found.rates}
+    assert rates["logo", 0.6].describe() == "50% (45–55)" and rates["logo", 0.5].describe() == "25% (10–20)"
+    assert rates["clothing", 0.6].value == 0.1
     assert {"Unseen 50%", "Own clothing 10%", "Random 30%"} <= set(drawn(panel.CLOAK_PT_runs)), "a line each"
-    sectors = found.worst_sectors()
+    sectors = found.sectors
     assert [s.azimuth for s in sectors] == list(range(-180, 180, 15))
     assert [s.cloak for s in sectors] == [float(abs(s.azimuth) <= 90) for s in sectors]
     assert all(math.isclose(s.clothing, 0.1) for s in sectors)
@@ -169,9 +169,8 @@ def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_p
     assert (job.state, job.message) == ("done", "2 people wear it")
     worn = evaluations.last_worn(folder_of(dressed))
     assert (worn.people, worn.left_out, len(worn.pictures)) == (2, 1, 8)
-    (judged,) = worn.detectors
-    rates = {name: own.value for name, (_, own) in judged.rates.items()}
-    assert judged.spec == "builtin" and rates == {"run": 0.5, "clothing": 0.0, "grey": 0.05, "random": 0.1}
+    rates = {rate.name: rate.value for rate in worn.rates if rate.threshold == 0.5}
+    assert worn.rates[0].spec == "builtin" and rates == {"run": 0.5, "clothing": 0.0, "grey": 0.05, "random": 0.1}
     assert [path.stem for path in worn.pictures[:2]] == ["before", "after run"]
     bpy.ops.cloak.wear()
     run_job()
