@@ -80,7 +80,7 @@ class Assess(Splitting, Detecting, Sharing):
         pages = [write_card(folder) for folder in folders.values()]
         pages += [write_comparison(folders, self.out / "card.html")] if len(cards) > 1 else []
         if self.leaderboard is not None:
-            write_leaderboard(gather(self.out), self.leaderboard)
+            write_leaderboard(gather(self.out).values(), self.leaderboard)
             pages.append(self.leaderboard)
         more = {"files": [str(path) for path in pages]}
         if bounds:

@@ -291,7 +291,7 @@ def test_names_bring_no_html_into_markdown(cards: Path) -> None:
     name = "python:<img src=x onerror=alert(1)>|[here](javascript:alert(1))"
     folder = change(cards / "glow", f"card['spec'], card['made']['torch'] = {name!r}, '<b>2</b>'")
     write_card(folder)
-    write_leaderboard({"glow": json.loads((folder / "card.json").read_text())}, cards / "leaderboard.md")
+    write_leaderboard([json.loads((folder / "card.json").read_text())], cards / "leaderboard.md")
     for page in (folder / "card.md", folder / "model_card.md", cards / "leaderboard.md"):
         body = page.read_text().rpartition("---\n")[2]
         assert "alert" in body and not re.search(r"<(?!br>)|(?<!\\)\[here", body), page.name

@@ -124,7 +124,7 @@ def test_several_are_compared_on_one_page_and_in_a_leaderboard(made: tuple[Path,
     assert 'href="glow/card.html"' in page and "<script" not in page and page.count('class="compared"') == 2
     Assess(out=out).run()
     assert "<h1>dark net · glow</h1>" in (out / "card.html").read_text("utf-8"), "detectors by name, not by folder"
-    write_leaderboard(gather(out), tmp_path / "board.md")
+    write_leaderboard(gather(out).values(), tmp_path / "board.md")
     rows = [line for line in (tmp_path / "board.md").read_text().splitlines() if line.startswith("| ")]
     assert [row.split(" | ")[0] for row in rows[2:]] == ["| glow", "| dark net"]  # no white-box figures: last
     assert len({row.count("|") for row in rows}) == 1

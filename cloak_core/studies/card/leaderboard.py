@@ -119,19 +119,16 @@ def build_board(folder: Path) -> tuple[list[Path], list[dict]]:
     cards = {path: read_entry(path).card for path in folders}
     check_together(cards)
     called = short_names(card["spec"] for card in cards.values())
-    links = {}
     for path, card in cards.items():
         write_card(path)
-        card["label"] = called[card["spec"]]
-        links[id(card)] = f"{path.name}/{CARD}"
-    ordered = ranked(cards.values())
-    write_leaderboard({path.name: card for path, card in cards.items()}, folder / "leaderboard.md")
+        card |= {"label": called[card["spec"]], "link": f"{path.name}/{CARD}"}
+    ordered = write_leaderboard(cards.values(), folder / "leaderboard.md")
     heads, rows = leaderboard_table(ordered)
     script = read_text(page.TEMPLATES / "board.js", MAX_TEXT_BYTES)  # our own file
     values = {
         "title": "Leaderboard",
         "heads": heads,
-        "rows": [(links[id(card)], row) for card, row in zip(ordered, rows, strict=True)],
+        "rows": [(card["link"], row) for card, row in zip(ordered, rows, strict=True)],
         "sizes": [name for name in SIZES if any(card["size"] == name for card in ordered)],
         "script": Markup(script),
         "script_digest": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
@@ -160,23 +157,19 @@ def folder_names(specs: Sequence[str]) -> dict[str, str]:
     return short
 
 
-def write_leaderboard(cards: dict[str, dict], path: Path) -> None:
-    """Write all cards as a Markdown table, in the order of `ranked`."""
-    ordered = ranked(cards.values())
-    made = dict.fromkeys(f"cloak {card['made']['cloak']}, torch {card['made'].get('torch', '?')}" for card in ordered)
-    write_text(path, "\n".join([HEAD, *markdown_rows(ordered), "", f"Made with {markdown('; '.join(made))}."]) + "\n")
+def write_leaderboard(cards: Iterable[dict], path: Path) -> list[dict]:
+    """Write all cards as a Markdown table, the most robust first, and return them in this order.
 
-
-def ranked(cards: Iterable[dict]) -> list[dict]:
-    """Order cards, the most robust first; those whose white box is short or was not measured come last.
-
-    Robust: by the strongest attack on people in photographs, where any were shown, then the mean over the areas.
+    Robust: by the strongest attack on people in photographs, where any were shown, then the mean over the areas. Cards
+    whose white box is short or was not measured come last.
     """
 
     def place(card: dict) -> tuple:
         rows, worn = card["white_box"], strongest(card, True)
         mean = sum(row["success_own"] for row in rows) / len(rows) if rows else 1.0
-        in_photographs = worn["success_own"] if worn else 1.0
-        return whole(card) != MEASURED, not rows, in_photographs, mean, card["spec"]
+        return whole(card) != MEASURED, not rows, worn["success_own"] if worn else 1.0, mean, card["spec"]
 
-    return sorted(cards, key=place)
+    ordered = sorted(cards, key=place)
+    made = dict.fromkeys(f"cloak {card['made']['cloak']}, torch {card['made'].get('torch', '?')}" for card in ordered)
+    write_text(path, "\n".join([HEAD, *markdown_rows(ordered), "", f"Made with {markdown('; '.join(made))}."]) + "\n")
+    return ordered

@@ -103,17 +103,13 @@ def model_card(card: dict) -> str:
     attacked = [(f"hidden at {row['asked']:.0%} of the body", row) for row in card["white_box"]]
     attacked += [(f"hidden in photographs, {worn}", row) for worn, row in words.worn_rows(card).items()]
     figures += [(label, row["success_own"], row["state"]) for label, row in attacked]
-    metrics = [
-        {"type": label, "name": label, "value": value, "args": {"state": state}} for label, value, state in figures
-    ]
+    metrics = [{"type": what, "name": what, "value": value, "args": {"state": sure}} for what, value, sure in figures]
     dataset = {"name": f"Cloak protocol {card['protocol']}, {card['size']}", "type": "cloak"}
     result = {"task": {"type": "object-detection"}, "dataset": dataset, "metrics": metrics}
     index = [{"name": name, "results": [result]}]
     front = {"pipeline_tag": "object-detection", "tags": ["person-detection", "robustness"], "model-index": index}
-    head = "\n".join(
-        ["---", *(f"{key}: {json.dumps(value)}" for key, value in front.items()), "---"]
-    )  # JSON is YAML, too
-    table = "\n".join(markdown_rows([card]))
+    keys = [f"{key}: {json.dumps(value)}" for key, value in front.items()]  # JSON is YAML, too
+    head, table = "\n".join(["---", *keys, "---"]), "\n".join(markdown_rows([card]))
     _, _, advice = words.judge(card)
     paragraphs = [markdown(text) for text in (words.headline(card), words.lede(card), advice)]
     untested = "\n".join(f"- {markdown(line)}" for line in words.not_tested(card))
