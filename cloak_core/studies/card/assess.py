@@ -87,13 +87,22 @@ class Assessment:
         self.left_patterns = names[self.size.patterns :]
 
     def _entries(self) -> dict[str, tuple[Path, dict]]:
-        """Find the zoo's cloaks that this scene can wear: run folder and its record, by name."""
-        entries = {}
+        """Find the zoo's cloaks that this scene can wear: run folder, and what the card says of each, by name.
+
+        One that was trained against this very detector does not count.
+        """
+        entries, unseen = {}, self.split.unseen
         for name in shelved() if self.zoo is None else self.zoo:
             path = run_path(name if name.startswith(MARK) else MARK + name)
             config = read_run(path)
             if config.get("topology") == self.split.bodies.topology:
-                entries[name.removeprefix(MARK)] = path, config
+                said = {
+                    "name": name.removeprefix(MARK),
+                    "trained_against_it": trained_against(config, self.split.detectors)[self.spec],
+                    "unseen": seen_in_training(config, unseen, self.split.unseen_backgrounds)[0],
+                    "area": round(area_share(unseen, load_logo(unseen, path / "logo.npy").face_ids), 4),
+                }
+                entries[said["name"]] = path, said
             elif self.zoo is not None:
                 raise InputError(f"{name}: made for another topology than scene '{self.split.bodies.name}'")
         return entries
@@ -101,10 +110,9 @@ class Assessment:
     @cached_property
     def told(self) -> dict:
         """What the card says itself (`entry.CARD`), but for who is left out of people, and the seconds."""
-        options, bodies = self.store.options, self.split.bodies
-        facts = detector_facts(self.detector)
+        options, facts = self.store.options, detector_facts(self.detector)
+        areas = [(round(area_share(self.split.bodies, faces), 4), len(faces)) for faces in self.areas]
         made = {"cloak": __version__, "command": one_line(options.command), "seed": options.seed}
-        white_box = [{"area": round(area_share(bodies, faces), 4), "faces": len(faces)} for faces in self.areas]
         return {
             "spec": self.spec,
             "size": self.size.name,
@@ -113,24 +121,12 @@ class Assessment:
             "made": made | environment(),
             "materials": self.split.record() | self.people.summary("shown_people"),
             "left_patterns": self.left_patterns,
-            "white_box": white_box if facts["differentiable"] else [],
-            "black_box": {"zoo": [self._entry(name) for name in self.entries]},
+            "white_box": [{"area": area, "faces": n} for area, n in areas if facts["differentiable"]],
+            "black_box": {"zoo": [said for _, said in self.entries.values()]},
             # A patch is worn in photographs alone.
             "patterns": [{"name": name} for name, pattern in self.opened.items() if pattern.period],
             "photographs": {"left_out": {}} if self.people else None,
             "seconds": 0.0,
-        }
-
-    def _entry(self, name: str) -> dict:
-        """Tell of a cloak of the zoo; one that was trained against this very detector does not count."""
-        path, config = self.entries[name]
-        unseen, _ = seen_in_training(config, self.split.unseen, self.split.unseen_backgrounds)
-        logo = load_logo(self.split.unseen, path / "logo.npy")
-        return {
-            "name": name,
-            "trained_against_it": trained_against(config, self.split.detectors)[self.spec],
-            "unseen": unseen,
-            "area": round(area_share(self.split.unseen, logo.face_ids), 4),
         }
 
     @cached_property

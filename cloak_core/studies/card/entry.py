@@ -17,10 +17,9 @@ import pandas as pd
 from PIL import Image
 
 from cloak_core.core.evaluate import bare_backgrounds
-from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.results import NOBODY, TRUE_BOX, Results, pool, read_results
 from cloak_core.core.evaluation.settings import EvaluateSettings
-from cloak_core.core.evaluation.trials import COLUMNS, draw_trials
+from cloak_core.core.evaluation.trials import COLUMNS
 from cloak_core.core.pictures import open_picture, save_picture
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
@@ -219,15 +218,14 @@ def _asked_of_part(part: Part, stated: Mapping, results: Results) -> dict[str, t
     def numbers(trials: pd.DataFrame) -> list:
         return np.nan_to_num(trials[list(COLUMNS)].to_numpy(np.float64), nan=-1).tolist()
 
-    unseen, settings = stated["materials"]["unseen"], EvaluateSettings(**part.settings)
-    count, images = len(results.background_names), results.images
-    trials = draw_trials(len(unseen["poses"]), part.angles, count, unseen["outfits"], settings)
+    count, images, unseen = len(results.background_names), results.images, stated["materials"]["unseen"]
+    controls, trials = part.drawn(unseen, count)
     bare = images.loc[(images["control"] == NOBODY).to_numpy(), "background"]
     return {
         "bodies": (list(results.body_names), unseen["poses"]),
-        "controls": (results.controls, (LOGO, *dict.fromkeys((CLOTHING, *settings.controls)))),
+        "controls": (results.controls, controls),
         "images": (numbers(results.trials), numbers(trials)),
-        "bare scenes": (bare.tolist(), bare_backgrounds(count, settings).tolist()),
+        "bare scenes": (bare.tolist(), bare_backgrounds(count, EvaluateSettings(**part.settings)).tolist()),
     }
 
 

@@ -21,7 +21,6 @@ from cloak_core.core.evaluation import CLOTHING, LOGO
 from cloak_core.core.evaluation.intervals import Rate, wilson
 from cloak_core.core.evaluation.precision import OVERLAPS, average_precision
 from cloak_core.core.evaluation.results import BOX_COLUMNS, CORNERS, NOBODY, TRUE_BOX, Results, make_results, pool
-from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.evaluation.statistics import (
     THRESHOLDS,
     digits,
@@ -36,7 +35,6 @@ from cloak_core.core.evaluation.statistics import (
     success_record,
     threshold_curve,
 )
-from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import parse_json
 from cloak_core.studies.card.protocol import (
@@ -133,9 +131,8 @@ def _expected_rows(part: Part, stated: Mapping, shown: Sequence[str]) -> Results
         controls, bodies = shown, ("front", "side", "back")
         trials = pd.DataFrame({"pose": range(3), "background": 0, "photograph": "", "seen_from": bodies})
     else:
-        settings, unseen = EvaluateSettings(**part.settings), stated["materials"]["unseen"]
-        controls, bodies = (LOGO, *dict.fromkeys((CLOTHING, *settings.controls))), unseen["poses"]
-        trials = draw_trials(len(bodies), part.angles, 1, unseen["outfits"], settings)
+        bodies = stated["materials"]["unseen"]["poses"]
+        controls, trials = part.drawn(stated["materials"]["unseen"], 1)
     trials = trials.assign(**dict.fromkeys(TRUE_BOX, 0.0))
     score = np.zeros((1, len(controls), len(trials)), np.float32)
     score[:, controls.index(CLOTHING)] = 1

@@ -9,10 +9,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Int64
 
-from cloak_core.core.evaluation import CLOTHING, NATURAL
+from cloak_core.core.evaluation import CLOTHING, LOGO, NATURAL
 from cloak_core.core.evaluation.results import Results
+from cloak_core.core.evaluation.settings import EvaluateSettings
+from cloak_core.core.evaluation.trials import draw_trials
 from cloak_core.core.geometry import face_areas, face_centres
 from cloak_core.core.logo import chest_thighs, front_faces, shirt_trousers
 from cloak_core.exchange.bodies import Bodies
@@ -116,6 +119,12 @@ class Part:
         """Names of the files of rows, one for each repetition."""
         stem = "".join(letter if letter.isalnum() or letter in "-_=" else "-" for letter in self.name)
         return [f"{stem}.{k}.npz" for k in range(self.repetitions)]
+
+    def drawn(self, unseen: Mapping, backgrounds: int) -> tuple[tuple[str, ...], pd.DataFrame]:
+        """List what rendered bodies wear, and draw their trials. unseen: bodies, as `materials` tell of them."""
+        settings = EvaluateSettings(**self.settings)
+        trials = draw_trials(len(unseen["poses"]), self.angles, backgrounds, unseen["outfits"], settings)
+        return (LOGO, *dict.fromkeys((CLOTHING, *settings.controls))), trials
 
     def state(self, partial_gradient: str) -> str:
         """Tell how sure its attack is: at least, where it was short or followed a part of the gradient alone.
