@@ -1,6 +1,6 @@
 """A tiny scene and a tiny detector: everything training needs, small enough to run it hundreds of times."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.source import BodySource
 from cloak_core.techniques import build_techniques
 
+Answer = Callable[[torch.Tensor], torch.Tensor]
 SIDE = 4
 """Quads along each side of each face of the box."""
 
@@ -153,6 +154,28 @@ class RedDetector(Detector):
         cells = nn.functional.avg_pool2d(images, 8).flatten(2)
         scores = torch.sigmoid(6 * (cells[:, 0] - cells[:, 2]) + 2 * cells[:, 1])
         return Detections(scores.new_zeros(*scores.shape, 4), scores, scores, scores > 0)
+
+
+def middle(images: torch.Tensor) -> torch.Tensor:
+    """The middle of each image, as boxes [B, 4]."""
+    return torch.tensor([0.25, 0.1, 0.75, 0.9]).mul(images.shape[-1]).expand(len(images), 4)
+
+
+def around(masks: torch.Tensor) -> torch.Tensor:
+    """Boxes [B, 4] around what is true in masks [B, H, W]."""
+    return torch.tensor([box_of(mask) if mask.any() else (0, 0, 0, 0) for mask in masks]).float()
+
+
+class Says(Detector):
+    """Reports a box in each image: functions of the images tell the scores [B] and the boxes [B, 4]."""
+
+    def __init__(self, score: Answer, boxes: Answer = middle, name: str = "says") -> None:
+        super().__init__(name, name)
+        self.score, self.boxes, self.weight = score, boxes, nn.Parameter(torch.ones(1))
+        self.freeze()
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        return Detections(self.boxes(images)[:, None], self.score(images)[:, None])
 
 
 class BrokenDetector(TinyDetector):

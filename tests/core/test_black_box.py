@@ -10,7 +10,7 @@ from cloak_core.core.black_box import EVERY, QueryPrior, queries_after, steps_wi
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.events import read_events
 from cloak_core.files.errors import InputError
-from tests.core.fakes import TinyDetector, tiny_settings
+from tests.core.fakes import Says, TinyDetector, tiny_settings
 from tests.core.test_ensemble import objective
 from tests.core.test_training import run
 
@@ -83,16 +83,10 @@ def test_every_detectors_images_count_and_a_start_is_taken(tmp_path):
         steps_within(tiny_settings(black_box_queries=23, batch=4), 2)
 
 
-class Blue(Detector):
+def blue(sign: float = 1.0) -> Says:
     """A surrogate of `Asked` with a gradient, and blind to all but colour."""
-
-    def __init__(self, sign: float = 1.0) -> None:
-        super().__init__(f"blue {sign}", "blue")
-        self.register_buffer("sign", torch.tensor(sign))
-
-    def forward(self, images: torch.Tensor) -> Detections:
-        scores = torch.sigmoid(self.sign * 4 * (images[:, :1] - images[:, 2:]).mean((2, 3)))
-        return Detections(scores.new_zeros(*scores.shape, 4), scores)
+    redness = lambda images: (images[:, 0] - images[:, 2]).mean((1, 2))
+    return Says(lambda images: torch.sigmoid(sign * 4 * redness(images)), name=f"blue {sign}")
 
 
 SHORT = HOW | {"black_box_queries": 68, "angles": "0", "translation": 0}
@@ -107,11 +101,11 @@ def _loss_reached(path, **more):
 @pytest.mark.slow
 def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_path, quick):
     alone = _loss_reached(tmp_path / "alone")
-    led = _loss_reached(tmp_path / "led", query_prior=[Blue()])
-    contrary = _loss_reached(tmp_path / "contrary", query_prior=[Blue(-1)])
+    led = _loss_reached(tmp_path / "led", query_prior=[blue()])
+    contrary = _loss_reached(tmp_path / "contrary", query_prior=[blue(-1)])
     assert led < alone - 0.02 and contrary < alone - 0.02
     with pytest.raises(InputError, match="query_prior"):
-        run(tmp_path / "led", [Asked()], resume=True, query_prior=[Blue(2)], **SHORT)
+        run(tmp_path / "led", [Asked()], resume=True, query_prior=[blue(2)], **SHORT)
 
 
 class Halves(Detector):
@@ -149,4 +143,4 @@ def test_a_prior_gives_gradients_and_leads_a_search_alone(tmp_path, quick):
     with pytest.raises(InputError, match="--query-prior asked: gives no gradients"):
         run(tmp_path / "a", [Asked()], black_box_queries=68, query_prior=[Asked()], **HOW)
     with pytest.raises(InputError, match="only leads a search"):
-        run(tmp_path / "b", [TinyDetector()], query_prior=[Blue()], **HOW)
+        run(tmp_path / "b", [TinyDetector()], query_prior=[blue()], **HOW)

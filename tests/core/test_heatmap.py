@@ -1,27 +1,17 @@
 import numpy as np
 import pytest
-import torch
 
-from cloak_core.core.detector.protocol import Detections
 from cloak_core.files.errors import InputError
 from cloak_core.studies.trainings.heatmap import heatmap
-from tests.core.fakes import SIDE, BrokenDetector, TinyDetector, box_bodies, noise_backgrounds
+from tests.core.fakes import SIDE, BrokenDetector, Says, TinyDetector, box_bodies, noise_backgrounds
 
 FACES = 6 * SIDE * SIDE
 
 
-class TopRowDetector(TinyDetector):
-    """The mean of the image's upper half, as a score: linear, so the heat is known."""
-
-    def forward(self, images: torch.Tensor) -> Detections:
-        height = images.shape[2]
-        scores = images[:, :, : height // 2].mean(dim=(1, 2, 3))[:, None]
-        return Detections(torch.zeros(len(images), 1, 4), scores)
-
-
 def test_heat_is_where_the_detector_looks():
     bodies = box_bodies(1)
-    heat = heatmap(bodies, TopRowDetector(), noise_backgrounds(), [0.0], size=64)
+    upper_half = Says(lambda images: images[:, :, :32].mean(dim=(1, 2, 3)))  # linear, so the heat is known
+    heat = heatmap(bodies, upper_half, noise_backgrounds(), [0.0], size=64)
     assert heat.shape == (FACES,) and heat.dtype == np.float32
     front = heat[: SIDE * SIDE].reshape(SIDE, SIDE)  # columns x, rows y
     assert (front[:, SIDE // 2 :] > 0).all() and (front[:, 0] == 0).all()

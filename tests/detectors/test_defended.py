@@ -29,23 +29,11 @@ from cloak_core.files.errors import InputError
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.studies.clean import certified_recall
 from cloak_core.studies.trained_run import trained_against
-from tests.core.fakes import MadeViews, noise_backgrounds, photograph_view
+from tests.core.fakes import MadeViews, Says, around, noise_backgrounds, photograph_view
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 from tests.sources.photographs.made_people import write_people
 
 HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")
-
-
-class Brightest(Detector):
-    """Two boxes: where each image is brighter than half, and all of it; the scores are its mean and its middle."""
-
-    def detect(self, images: torch.Tensor) -> Detections:
-        boxes = []
-        for image in images:
-            rows, columns = (image.mean(0) > 0.75).nonzero().T
-            boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-        flat = images.flatten(1)
-        return Detections(torch.tensor(boxes).float()[:, None], flat.mean(1, keepdim=True))
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +108,8 @@ def test_the_median_of_nine_by_minima_and_maxima_is_the_median(levels: int | Non
 
 
 def test_boxes_come_back_from_the_random_place() -> None:
-    found = defend(Brightest("bright", "bright"), "resize-pad=0.4")(square())
+    bright = Says(lambda images: images.mean((1, 2, 3)), lambda images: around(images.mean(1) > 0.75))
+    found = defend(bright, "resize-pad=0.4")(square())
     torch.testing.assert_close(found.boxes[0, 0], torch.tensor([24.0, 40, 56, 72]), atol=1.5, rtol=0)
 
 

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 import torch
 
-from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.core.evaluation.statistics import matched_threshold
 from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
@@ -22,18 +21,13 @@ from cloak_core.studies.negatives import (
     pattern_alarms,
     pattern_scores,
 )
+from tests.core.fakes import Says
 
 
-class RedDetector(Detector):
-    """Reports a person with the share of red pixels, times 100."""
-
-    def __init__(self) -> None:
-        super().__init__("red", "red")
-
-    def detect(self, images):
-        red = (images[:, 0] > 0.3) & (images[:, 1:].amax(1) < 0.05)
-        score = (100 * red.float().mean((1, 2))).clamp(max=1)
-        return Detections(torch.zeros(len(images), 1, 4), score[:, None])
+def share_of_red(images: torch.Tensor) -> torch.Tensor:
+    """The share of red pixels, times 100."""
+    red = (images[:, 0] > 0.3) & (images[:, 1:].amax(1) < 0.05)
+    return (100 * red.float().mean((1, 2))).clamp(max=1)
 
 
 def body() -> Bodies:
@@ -54,13 +48,13 @@ def places(red: int, count: int) -> Backgrounds:
 
 
 def test_every_body_at_every_angle_counts_once_per_image():
-    result = check_scene(RedDetector(), body(), places(0, 5), (0.0, 10.0), images_per_view=3)
+    result = check_scene(Says(share_of_red), body(), places(0, 5), (0.0, 10.0), images_per_view=3)
     own = {"operating_point": 0.5, "operating_point_assumed": True, "clean_recall_own": 2 / 3, "false_alarms_own": 0.0}
     assert result == {"clean_recall": 2 / 3, "false_alarms": 0.0, "n": 18, "backgrounds": 5, "alarms": []} | own
 
 
 def test_false_alarms_are_counted_on_bare_backgrounds_and_the_detectors_own_point_beside():
-    detector = RedDetector()
+    detector = Says(share_of_red)
     detector.operating_point = 1.0  # it never says more
     result = check_scene(detector, body(), places(2, 8), (0.0,), images_per_view=1)
     assert result["clean_recall_own"] == result["false_alarms_own"] == 0 < result["clean_recall"]

@@ -26,27 +26,16 @@ from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.studies.evaluate import OnBodies, Shown, evaluate
 from cloak_core.studies.report.stored import FOLDER, read_evaluation
-from tests.core.fakes import MadeViews, photograph_view
+from tests.core.fakes import MadeViews, Says, photograph_view
 
 SMALL = EvaluateSettings(images_per_view=2, size=64, shift=6, samples=1, resamples=100, batch=4, bare=5)
 ANGLES = (-10.0, 10.0)
 
 
-class GreenBlind(Detector):
-    """Reports a person (one box over the middle) in every image, unless some of it is pure green."""
-
-    def __init__(self) -> None:
-        super().__init__("green-blind", "green-blind")
-        self.weight = torch.nn.Parameter(torch.ones(1))
-        self.seen: list[Tensor] = []
-        self.freeze()
-
-    def forward(self, images: Tensor) -> Detections:
-        self.seen.append(images)
-        count, _, height, width = images.shape
-        green = (images[:, 1] - torch.maximum(images[:, 0], images[:, 2])).flatten(1).amax(1)
-        box = torch.tensor([0.25 * width, 0.1 * height, 0.75 * width, 0.9 * height])
-        return Detections(box.expand(count, 1, 4), (0.95 - 0.9 * (green > 0.35).float())[:, None])
+def blind_to_green(images: Tensor) -> Tensor:
+    """A person in every image, unless some of it is pure green."""
+    green = (images[:, 1] - torch.maximum(images[:, 0], images[:, 2])).flatten(1).amax(1)
+    return 0.95 - 0.9 * (green > 0.35).float()
 
 
 @pytest.fixture(scope="module")
@@ -70,12 +59,12 @@ def in_green(logo: Logo) -> FacePattern:
 
 
 def show(pattern: Pattern, bodies: Bodies, rooms: int = 5, **more: object) -> Shown:
-    given = {"detectors": {"spec": GreenBlind()}, "angles": ANGLES, "settings": SMALL} | more
+    given = {"detectors": {"spec": Says(blind_to_green)}, "angles": ANGLES, "settings": SMALL} | more
     return OnBodies(bodies, grey_rooms(rooms), given.pop("angles")).show(pattern, **given)
 
 
 def judged(pattern: Pattern, bodies: Bodies, detector: Detector | None = None, **more: object) -> dict:
-    detectors = {"spec": detector or GreenBlind()}
+    detectors = {"spec": detector or Says(blind_to_green)}
     return evaluate(show(pattern, bodies), detectors, SMALL, **more)
 
 
@@ -127,7 +116,7 @@ def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> N
 @pytest.mark.slow
 def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) -> None:
     shown = show(in_green(logo), bodies)
-    run = lambda **changes: evaluate(shown, {"spec": GreenBlind()}, replace(SMALL, **changes))["detectors"]
+    run = lambda **changes: evaluate(shown, {"spec": Says(blind_to_green)}, replace(SMALL, **changes))["detectors"]
     assert run() == run(batch=3)
 
 
@@ -164,19 +153,19 @@ def test_what_does_not_fit_is_refused(bodies: Bodies, logo: Logo, tmp_path: Path
 
 
 def test_a_detector_that_changes_is_a_defect(bodies: Bodies, logo: Logo) -> None:
-    class Drifting(GreenBlind):
+    class Drifting(Says):
         def forward(self, images: Tensor) -> Detections:
             self.weight += 1
             return super().forward(images)
 
     with pytest.raises(RuntimeError, match="changed while"):
-        judged(in_green(logo), bodies, Drifting())
+        judged(in_green(logo), bodies, Drifting(blind_to_green))
 
 
 @pytest.mark.slow
 def test_white_box_and_black_box(bodies: Bodies, logo: Logo, capsys: pytest.CaptureFixture) -> None:
     """Told by the detectors' weights, whatever they are called; several are shown side by side."""
-    known, stranger = GreenBlind(), GreenBlind()
+    known, stranger = Says(blind_to_green), Says(blind_to_green)
     with torch.no_grad():
         stranger.weight.mul_(2)
     training = {"detectors": [{"spec": "as it was called then", "sha256": state_hash(known)}]}

@@ -10,31 +10,24 @@ import torch
 from PIL import Image
 
 from cloak_core.commands import detectors as command
-from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import write_colors, write_face_list
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.studies.look import Look, Looker
+from tests.core.fakes import Says, around
 from tests.schemas import validate
 
 RED, GREEN = (0.9, 0.1, 0.1), (0.0, 1.0, 0.0)
 
 
-class SeesRed(Detector):
+def is_red(images: torch.Tensor) -> torch.Tensor:
+    return (images[:, 0] > 0.5) & (images[:, 1:].amax(1) < 0.2)
+
+
+def sees_red() -> Says:
     """Finds a person around whatever is red."""
-
-    def __init__(self) -> None:
-        super().__init__("red", "red")
-
-    def forward(self, images: torch.Tensor) -> Detections:
-        red = (images[:, 0] > 0.5) & (images[:, 1:].amax(1) < 0.2)
-        boxes = torch.zeros(len(images), 1, 4)
-        for i, mask in enumerate(red):
-            if mask.any():
-                y, x = torch.nonzero(mask, as_tuple=True)
-                boxes[i, 0] = torch.stack([x.min(), y.min(), x.max() + 1, y.max() + 1]).float()
-        return Detections(boxes, red.flatten(1).any(1).float()[:, None] * 0.8)
+    return Says(lambda images: 0.8 * is_red(images).flatten(1).any(1), lambda images: around(is_red(images)))
 
 
 @pytest.fixture
@@ -51,11 +44,11 @@ def box(tmp_path: Path) -> dict:
 
 def test_boxes_lie_where_the_camera_sees_the_body(box):
     """Focal length 20 / tan 30: a metre, 2 m away, is 17 pixels; straight ahead, and beside the middle."""
-    told = Looker({"red": SeesRed()}).look(Look.of(box))
+    told = Looker({"red": sees_red()}).look(Look.of(box))
     seen = told["detectors"]["red"]["clothing"]
     assert seen["max_person"] == pytest.approx(0.8) and "cloak" not in told["detectors"]["red"]
     assert np.allclose(seen["boxes"][0][:4], [30 - 8.7, 20 - 8.7, 30 + 8.7, 20 + 8.7], atol=1)
-    aside = Looker({"red": SeesRed()}).look(Look.of(box | {"pivot": [0, 1, 0.0]}))["detectors"]["red"]["clothing"]
+    aside = Looker({"red": sees_red()}).look(Look.of(box | {"pivot": [0, 1, 0.0]}))["detectors"]["red"]["clothing"]
     assert np.allclose(aside["boxes"][0][:4], [30, 20 - 8.7, 30 + 17.3, 20 + 8.7], atol=1)
     record = validate("look", Path(box["out"], "look.json").read_text())
     assert Image.open(record["pictures"]["clothing"]).size == (60, 40)
@@ -67,14 +60,14 @@ def test_a_runs_cloth_is_worn_as_fine_as_it_is_printed(box, tmp_path):
     Image.fromarray(halves).save(tmp_path / "cloth.png")
     (tmp_path / "config.json").write_text(json.dumps({"settings": {"tile_cm": 100}}))
     worn = box | {"logo": str(tmp_path / "logo.npy"), "colors": str(tmp_path / "colors.npy"), "cloth": str(tmp_path)}
-    told = Looker({"red": SeesRed()}).look(Look.of(worn))
+    told = Looker({"red": sees_red()}).look(Look.of(worn))
     picture = np.asarray(Image.open(told["pictures"]["cloak"]))
     red = (picture[..., 0] > 100) & (picture[..., 1] < 60)
     green = (picture[..., 1] > 100) & (picture[..., 0] < 60)
     assert np.flatnonzero(red[20])[[0, -1]].tolist() == [21, 29], "the left half of the wall"
     assert np.flatnonzero(green[20])[[0, -1]].tolist() == [30, 38]
     (tmp_path / "cloth.png").unlink()
-    assert Looker({"red": SeesRed()}).look(Look.of(worn))["detectors"]["red"]["cloak"]["max_person"] == 0
+    assert Looker({"red": sees_red()}).look(Look.of(worn))["detectors"]["red"]["cloak"]["max_person"] == 0
 
 
 @pytest.mark.parametrize(
@@ -92,7 +85,7 @@ def test_a_runs_cloth_is_worn_as_fine_as_it_is_printed(box, tmp_path):
 )
 def test_what_cannot_be_looked_at_is_named(box, change, words):
     with pytest.raises(InputError, match=words):
-        Looker({"red": SeesRed()}).look(Look.of(box | change))
+        Looker({"red": sees_red()}).look(Look.of(box | change))
 
 
 def test_requests_come_a_line_each_and_a_bad_one_ends_nothing(box, tmp_path, monkeypatch, capsys):
@@ -102,7 +95,7 @@ def test_requests_come_a_line_each_and_a_bad_one_ends_nothing(box, tmp_path, mon
     lines = [{"width": 10}, {"pose": 9}, {}]
     asked = [json.dumps(box | change | {"out": str(place)}) for change, place in zip(lines, places, strict=True)]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join([*asked, "{nonsense"]) + "\n"))
-    assert command.answer_lines(Looker({"red": SeesRed()})) == 4
+    assert command.answer_lines(Looker({"red": sees_red()})) == 4
     told = [json.loads((place / "look.json").read_text()) for place in places]
     assert (told[0]["width"], told[2]["width"]) == (10, 60) and "pose 9" in told[1]["error"]
     said = capsys.readouterr().err

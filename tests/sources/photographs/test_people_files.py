@@ -17,8 +17,9 @@ from cloak_core.sources.photographs import reader
 from cloak_core.sources.photographs.annotation import draw_mask, read_mask
 from cloak_core.sources.photographs.fits import fit_people, fits_well, those_who_fit
 from cloak_core.sources.photographs.people import load_people
+from tests.core.fakes import Says
 from tests.sources.photographs.made_people import SIZE, edit, photograph, write_people
-from tests.studies.test_wearing import Middle, less_red
+from tests.studies.test_wearing import less_red
 
 pytestmark = pytest.mark.slow
 
@@ -190,7 +191,7 @@ def test_a_body_that_does_not_fit_is_left_out(tmp_path):
     assert len(people) == 3 and all(fits_well(fit.quality) for fit in fits)
     fitting = those_who_fit(people, fits)
     assert fitting.left_out["does not fit"] == 1 and fitting.photographs == ("made0.png", "made2.png")
-    found = wear(["zoo:builtin-sample"], people, {"d": Middle(less_red)}, settings=WearSettings(size=96, bare=2))
+    found = wear(["zoo:builtin-sample"], people, {"d": Says(less_red)}, settings=WearSettings(size=96, bare=2))
     assert found["people"] == 2 and found["left_out"]["does not fit"] == 1
     with pytest.raises(InputError, match="people: the body fits none of its 2 people"):
         fit_people(load_people(edit(write_people(tmp_path / "none", 2), widened(0, 1))))
