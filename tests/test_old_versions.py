@@ -2,12 +2,12 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cloak_core.cli import main
 from cloak_core.core.events import read_events
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
@@ -32,12 +32,10 @@ def old(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     return Path(shutil.copytree(VERSIONS / request.param, tmp_path / "old"))
 
 
-def told(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[int, dict, str]:
+def told(arguments: list[str], cloak: Callable[..., tuple[int, str, str]]) -> tuple[int, dict, str]:
     """Exit code, the object that --json prints, and what stands on standard error."""
-    with pytest.raises(SystemExit) as end:
-        main([*arguments, "--json"])
-    said = capsys.readouterr()
-    return end.value.code or 0, json.loads(said.out or "{}"), said.err
+    code, out, err = cloak(*arguments, "--json")
+    return code, json.loads(out or "{}"), err
 
 
 def test_a_scene_and_face_lists() -> None:
@@ -58,11 +56,9 @@ def train(old: Path, out: str, *more: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_a_stopped_run_goes_on_with_the_same_settings(
-    old: Path, capsys: pytest.CaptureFixture, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_stopped_run_goes_on_with_the_same_settings(old: Path, cloak, caplog: pytest.LogCaptureFixture) -> None:
     before = (old / "stopped" / "config.json").read_bytes()
-    code, result, said = told(train(old, "stopped", *AS_BEFORE, "--resume", "--max-seconds", "2"), capsys)
+    code, result, said = told(train(old, "stopped", *AS_BEFORE, "--resume", "--max-seconds", "2"), cloak)
     assert code == 3, said
     assert result["step"] > 1 and np.load(old / "stopped" / "colors.npy").shape == (16, 3)
     assert (old / "stopped" / "config.json").read_bytes() == before
@@ -81,25 +77,23 @@ def test_a_stopped_run_goes_on_with_the_same_settings(
         (("--backgrounds", "procedural:train:5"), "the number of backgrounds.identities = 4, not 5"),
     ],
 )
-def test_a_stopped_run_does_not_go_on_with_others(
-    old: Path, capsys: pytest.CaptureFixture, changed: tuple[str, str], named: str
-) -> None:
-    code, _, said = told(train(old, "stopped", *AS_BEFORE, "--resume", *changed), capsys)
+def test_a_stopped_run_does_not_go_on_with_others(old: Path, cloak, changed: tuple[str, str], named: str) -> None:
+    code, _, said = told(train(old, "stopped", *AS_BEFORE, "--resume", *changed), cloak)
     assert code == 2 and named in " ".join(said.split())
 
 
-def test_colours_of_a_finished_run_start_another(old: Path, capsys: pytest.CaptureFixture) -> None:
+def test_colours_of_a_finished_run_start_another(old: Path, cloak) -> None:
     short = [*AS_BEFORE[:-1], "--steps=1", "--init", str(old / "done")]
-    code, result, said = told(train(old, "new", *short), capsys)
+    code, result, said = told(train(old, "new", *short), cloak)
     assert code == 0 and result["step"] == 1, said
 
 
 @pytest.mark.slow
-def test_a_finished_run_is_evaluated_and_reported(old: Path, capsys: pytest.CaptureFixture) -> None:
-    assert told(["report", str(old / "done")], capsys)[0] == 0
+def test_a_finished_run_is_evaluated_and_reported(old: Path, cloak) -> None:
+    assert told(["report", str(old / "done")], cloak)[0] == 0
     options = ["--angles", "0", "--images-per-view", "2", "--size", "96", "--shift", "8", "--resamples", "100"]
     arguments = ["evaluate", str(old / "done"), "--scene", str(old / "scene"), "--backgrounds", "procedural:train:4"]
-    code, result, said = told([*arguments, *options], capsys)
+    code, result, said = told([*arguments, *options], cloak)
     assert code == 0, said
     assert result["unseen"] == {"bodies": False, "backgrounds": False} and result["white_box"] == {"builtin@96": True}
 
@@ -120,17 +114,17 @@ FIRST = VERSIONS / "v1.0.0"
 
 
 @pytest.mark.parametrize("words", [["leaderboard", "build", "cards"], ["assess", "--out", "cards"]])
-def test_cards_of_protocol_1_are_refused_in_one_line(words: list[str], capsys, monkeypatch) -> None:
+def test_cards_of_protocol_1_are_refused_in_one_line(words: list[str], cloak, monkeypatch) -> None:
     monkeypatch.chdir(FIRST)
-    code, _, said = told(words, capsys)
+    code, _, said = told(words, cloak)
     assert code == 2 and said.count("\n") == 1 and "card.json: protocol is '1'; this version has '2'" in said
 
 
 @pytest.mark.slow
-def test_a_sweep_of_1_0_is_read_and_not_gone_on_with(old_sweep: Path, capsys, monkeypatch) -> None:
+def test_a_sweep_of_1_0_is_read_and_not_gone_on_with(old_sweep: Path, cloak, monkeypatch) -> None:
     monkeypatch.chdir(old_sweep)
     assert (run_path("sweep") / "config.json").is_file()
-    code, _, said = told(["sweep", "grid.toml", "--out", "sweep"], capsys)
+    code, _, said = told(["sweep", "grid.toml", "--out", "sweep"], cloak)
     assert code == 2 and "sweep: holds the results of a sweep by an earlier version" in said
 
 
@@ -147,7 +141,7 @@ def test_an_evaluation_on_people_of_1_0_is_replaced_and_makes_no_entry_of_the_zo
 
 
 @pytest.mark.slow
-def test_a_hardening_of_1_0_is_not_gone_on_with(tmp_path: Path, capsys) -> None:
+def test_a_hardening_of_1_0_is_not_gone_on_with(tmp_path: Path, cloak) -> None:
     shutil.copytree(FIRST / "hardened", tmp_path / "hardened")
-    code, _, said = told(["harden", "builtin", "--resume", "--no-assess", "--out", str(tmp_path / "hardened")], capsys)
+    code, _, said = told(["harden", "builtin", "--resume", "--no-assess", "--out", str(tmp_path / "hardened")], cloak)
     assert code == 2 and "hardened: was begun by an earlier version" in " ".join(said.split())

@@ -87,12 +87,3 @@ def test_auto_is_the_default_and_a_run_goes_on_where_it_began(tmp_path, monkeypa
         with pytest.raises(InputError, match="unknown family"):
             parse("train", [*words, *more]).run()
     assert asked == ["cuda", "cpu"]
-
-
-def test_training_needs_no_scene(tmp_path, monkeypatch):
-    given = []
-    monkeypatch.setattr("cloak_core.library.training.train", lambda scene, *others, **more: given.append(scene) or None)
-    for more in ([], ["--scene", "sample:unseen"]):
-        with pytest.raises(AttributeError):  # of the result, which the fake has not
-            parse("train", ["--logo", "chest", "--out", str(tmp_path / "new"), *more]).run()
-    assert given == ["sample:train", "sample:unseen"]

@@ -1,13 +1,11 @@
 """What long commands tell people and programs about how far they are."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cloak_core.commands.progress import WorkProgress, counted
 from cloak_core.commands.train import Train
-from cloak_core.commands.transfer import Transfer
 from cloak_core.core.events import read_events
 from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
@@ -36,13 +34,6 @@ def test_a_count_is_told_as_a_runs_events_are(tmp_path):
     assert times == sorted(times) and times[0] >= 0
     with pytest.raises(InputError, match="exists already"), counted("counting", path):
         pass
-
-
-def test_who_filled_a_matrix_on_people_is_told_to_train_on_people():
-    command = Transfer(detector=("builtin",), out=Path("matrix"), people="people.json", images=Path("photos"))
-    said = " ".join(command.following({}))
-    assert "--preset photographs --people people.json --images photos --logo shirt+trousers" in said
-    assert " ".join(replace(command, people=None).following({})[:5]) == "train --preset transfer --logo chest+thighs"
 
 
 def test_parts_of_work_are_told_in_turn(clock, capsys):

@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from cloak_core import cli
 from cloak_core.commands import sharing
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.reproduce import PARTS, Reproduce
@@ -14,6 +13,7 @@ from cloak_core.files.writing import lock
 from cloak_core.jobs.job import done
 from cloak_core.studies import store, training_store
 from tests.schemas import validate
+from tests.sources.photographs.made_people import write_people
 
 DETECTORS = """
 import torch
@@ -31,13 +31,6 @@ def red(): return Glow(0)
 def green(): return Glow(1)
 def blue(): return Glow(2)
 """
-
-
-def main(words):
-    """The exit code."""
-    with pytest.raises(SystemExit) as end:
-        cli.main(words)
-    return end.value.code or 0
 
 
 class Told:
@@ -70,19 +63,26 @@ def transfer(tmp_path):
 
 
 @pytest.mark.slow
-def test_parts_of_a_matrix_are_found_again_by_the_whole(transfer, elsewhere, tmp_path, monkeypatch, capsys):
-    assert main([*transfer, "--out", str(tmp_path / "here")]) == 0
-    here = json.loads(capsys.readouterr().out)
-    asked = [*transfer, "--rungs", "recipe", "--out", str(tmp_path / "there"), "--ray", "local"]
-    assert main(asked) == 0
-    there, said = capsys.readouterr()
-    assert len(elsewhere.names) == 2 and "part 1 of 2: recipe, judged by" in said
+def test_parts_of_a_matrix_are_found_again_by_the_whole(transfer, elsewhere, tmp_path, monkeypatch, cloak):
+    here = cloak(*transfer, "--out", tmp_path / "here")[1]
+    asked = [*transfer, "--rungs", "recipe", "--out", tmp_path / "there", "--ray", "local"]
+    code, there, said = cloak(*asked)
+    assert code == 0 and len(elsewhere.names) == 2 and "part 1 of 2: recipe, judged by" in said
     matrix = validate("transfer", there)["matrix"]
-    assert {s: c["success"] for s, c in matrix.items()} == {s: c["success"] for s, c in here["matrix"].items()}
+    rates = lambda cells: {spec: cell["success"] for spec, cell in cells.items()}
+    assert rates(matrix) == rates(json.loads(here)["matrix"])
     # What the parts made is there: nothing is trained or measured any more.
     for module, name in ((training_store, "train"), (store, "measure_frozen")):
         monkeypatch.setattr(module, name, lambda *given, **more: pytest.fail("made again"))
-    assert main(asked) == 0
+    assert cloak(*asked)[0] == 0
+
+
+def test_people_are_fitted_on_a_cluster_where_one_is_named(tmp_path, monkeypatch, cloak):
+    """tests/jobs/test_ray.py has a real cluster, and kills a node of it."""
+    asked = []
+    monkeypatch.setattr("cloak_core.commands.wear.executor_of", lambda address: asked.append(address))
+    _, said, _ = cloak("people", "fit", write_people(tmp_path, 1), "--ray", "auto")
+    assert asked == ["auto"] and "1 people in 1 photographs; left out: nobody" in said
 
 
 def failing(error):
@@ -94,11 +94,11 @@ def failing(error):
     return train
 
 
-def test_a_part_that_fails_is_named_after_the_others_are_done(transfer, elsewhere, tmp_path, monkeypatch, capsys):
+def test_a_part_that_fails_is_named_after_the_others_are_done(transfer, elsewhere, tmp_path, monkeypatch, cloak):
     monkeypatch.setattr(store.RunStore, "train_faces", failing(InputError("no")))
-    assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 2
-    said = capsys.readouterr().err
-    assert "2 of 2 parts failed, the first of them recipe, judged by" in said and said.rstrip().endswith(": no")
+    code, _, said = cloak(*transfer, "--out", tmp_path / "out", "--ray", "local")
+    assert code == 2 and "2 of 2 parts failed, the first of them recipe, judged by" in said
+    assert said.rstrip().endswith(": no")
 
 
 def test_cards_and_experiments_fall_into_parts(tmp_path):
@@ -113,14 +113,12 @@ def test_cards_and_experiments_fall_into_parts(tmp_path):
 
 
 @pytest.mark.long
-def test_a_real_cluster_makes_the_matrix_of_one_process(transfer, tmp_path, tmp_path_factory, capsys):
+def test_a_real_cluster_makes_the_matrix_of_one_process(transfer, tmp_path, tmp_path_factory, cloak):
     pytest.importorskip("ray")
     with lock(tmp_path_factory.getbasetemp().parent / "ray.lock", wait=True):  # one cluster at a time on this machine
-        assert main([*transfer, "--out", str(tmp_path / "there"), "--ray", "local", "--threads", "1"]) == 0
-    there, said = capsys.readouterr()
-    assert "part 2 of 2" in said
-    assert main([*transfer, "--out", str(tmp_path / "here"), "--threads", "1"]) == 0
-    here = capsys.readouterr().out
+        code, there, said = cloak(*transfer, "--out", tmp_path / "there", "--ray", "local", "--threads", 1)
+    assert code == 0 and "part 2 of 2" in said
+    here = cloak(*transfer, "--out", tmp_path / "here", "--threads", 1)[1]
     ours, theirs = (json.loads(text)["matrix"] for text in (here, there))
     for cells in (ours, theirs):
         for cell in cells.values():
@@ -128,7 +126,7 @@ def test_a_real_cluster_makes_the_matrix_of_one_process(transfer, tmp_path, tmp_
     assert ours == theirs
 
 
-def test_a_part_that_was_ended_early_ends_the_command_in_order(transfer, elsewhere, tmp_path, monkeypatch):
+def test_a_part_that_was_ended_early_ends_the_command_in_order(transfer, elsewhere, tmp_path, monkeypatch, cloak):
     monkeypatch.setattr(store.RunStore, "train_faces", failing(Stopped("enough")))
-    assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 3
+    assert cloak(*transfer, "--out", tmp_path / "out", "--ray", "local")[0] == 3
     assert len(elsewhere.names) == 1

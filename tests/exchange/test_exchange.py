@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cloak_core.core.places import corner_places
 from cloak_core.core.polygons import per_corner
 from cloak_core.exchange.bodies import MAX_FACES, MAX_POSES, Bodies
-from cloak_core.exchange.cloth import cloth_metres, corner_uv
+from cloak_core.exchange.cloth import corner_uv
 from cloak_core.exchange.face_lists import (
     face_ids,
     hottest_faces,
@@ -27,19 +27,12 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_npy
 from cloak_core.files.writing import write_json
 from cloak_core.sources.bodies.people.samples import sample_bodies
+from tests.sources.bodies import solids
 
-CUBE_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 
-
-def cube(poses: int = 2) -> Bodies:
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
-    triangles = [t for a, b, c, d in CUBE_QUADS for t in ([a, b, c], [a, c, d])]
-    return Bodies(
-        vertices=np.stack([corners + i for i in range(poses)]),
-        triangles=np.array(triangles),
-        triangle_face=np.repeat(np.arange(6), 2),
-        loop_total=np.full(6, 4),
-        loop_vertices=np.ravel(CUBE_QUADS),
+def cube() -> Bodies:
+    """One of two poses that has everything."""
+    one = solids.cube(
         face_colors=np.linspace(0, 1, 36).reshape(2, 6, 3),
         regions={"top": np.arange(6) == 3},
         uv=np.zeros((1, 2)),
@@ -47,6 +40,7 @@ def cube(poses: int = 2) -> Bodies:
         textures={"skin": np.zeros((2, 2, 3), np.uint8)},
         name="cube",
     )
+    return replace(one, vertices=np.concatenate([one.vertices, one.vertices + 1]), names=())
 
 
 def absurd(*shape: int) -> np.ndarray:
@@ -288,12 +282,3 @@ def test_cloth_lies_as_in_the_pose_that_the_scene_names(tmp_path):
         replace(other, laid_out=np.where(np.arange(other.vertex_count)[:, None] == 3, np.nan, bodies.vertices[0]))
     with pytest.raises(InputError, match="laid_out: float32 of shape"):
         replace(other, laid_out=bodies.vertices[0][:5])
-
-
-@pytest.mark.parametrize(
-    "settings", [{}, {"settings": 3}, {"settings": {"tile_cm": 0}}, {"settings": {"tile_cm": "w"}}]
-)
-def test_a_run_that_does_not_say_how_wide_its_cloth_is(tmp_path, settings):
-    (tmp_path / "config.json").write_text(json.dumps(settings))
-    with pytest.raises(InputError, match=r"config\.json: does not say how wide cloth\.png is"):
-        cloth_metres(tmp_path)
