@@ -5,7 +5,12 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
+
+from cloak_core.core.detector.protocol import at_least_float32
+from cloak_core.files.caching import cache_folder
 
 CORE = Path(__file__).parents[1] / "cloak_core"
 ADD_ON = CORE.with_name("blender_addon")
@@ -28,6 +33,13 @@ MAY_IMPORT = {
 
 tools/draw_rooms.py draws this table for the page for contributors."""
 TOP = {"commands", "cli", "bench", "__main__", "__init__"}
+
+
+def test_types_and_shapes_of_what_the_tests_import_are_checked() -> None:
+    with pytest.raises(TypeCheckError):
+        cache_folder(3)
+    with pytest.raises(TypeCheckError):
+        at_least_float32(np.zeros(3, np.float32))
 
 
 def room_of(path: Path) -> str:

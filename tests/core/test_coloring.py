@@ -69,11 +69,6 @@ def test_a_grid_is_linear_between_its_nodes():
     assert np.allclose(octaves(nodes.float())[:, :2].numpy(), places, atol=1e-4)
 
 
-def test_each_grid_is_twice_as_wide_as_the_last():
-    octaves = octave_sums(np.arange(17.0)[:, None], 1.0, 4)
-    assert octaves.width == 9 + 1 + 5 + 1 + 3 + 1, "nodes 2, 4 and 8 apart, and the one after the last place"
-
-
 def test_rounds_of_smoothing_are_a_product_with_a_symmetric_matrix_whose_rows_sum_to_one():
     matrix = smoothed(torch.eye(len(LOGO)), MEANS, 1)
     torch.testing.assert_close(matrix, matrix.T)

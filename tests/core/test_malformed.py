@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+import torch
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloak_core.core.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
-from cloak_core.core.events import read_events, rewind_events
+from cloak_core.core.checkpoints import Checkpoint, save_checkpoint
 from cloak_core.core.settings import make_settings, settings_from_record, settings_record
 from cloak_core.files.errors import InputError
 from tests.core.test_training import run
@@ -80,11 +80,10 @@ json_values = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=6,
 )
-quick = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.slow
-@quick
+@settings(max_examples=60)
 @given(st.sampled_from(list(settings_record(make_settings("best")))), json_values)
 def test_any_value_of_any_setting_is_taken_or_refused_by_name(name, value):
     record = {"epochs": None, "steps": 5} | {name: value}
@@ -96,36 +95,7 @@ def test_any_value_of_any_setting_is_taken_or_refused_by_name(name, value):
         assert "\n" not in str(error).replace(repr(value), "")
 
 
-@pytest.mark.slow
-@quick
-@given(st.lists(st.binary(max_size=60) | json_values.map(lambda v: json.dumps(v).encode()), max_size=6))
-def test_any_event_log_is_read_and_rewound(tmp_path, lines):
-    path = tmp_path / "events.jsonl"
-    path.write_bytes(b"\n".join(lines))
-    assert all(isinstance(event, dict) for event in read_events(path))
-    rewind_events(path, 3)
-    read_events(path)
-
-
-@pytest.mark.slow
-@quick
-@given(st.binary(max_size=300), json_values)
-def test_any_checkpoint_is_read_or_named(tmp_path, data, record):
-    import torch
-
-    folder = tmp_path / "checkpoint"
-    folder.mkdir(exist_ok=True)
-    save_checkpoint(folder, Checkpoint(7, 1.0, {"parameter": torch.zeros(2, 3)}))
-    (folder / "step-00000007" / "state.safetensors").write_bytes(data)
-    if record is not None:
-        (folder / "step-00000007" / "state.json").write_text(json.dumps(record))
-    found, damaged = load_checkpoint(folder)
-    assert found is None and len(damaged) == 1
-
-
 def test_colours_of_another_run_are_named(finished):
-    import torch
-
     save_checkpoint(finished / "checkpoint", Checkpoint(99, 1.0, {"parameter": torch.zeros(2, 3)}))
     with pytest.raises(InputError, match="holds another run's state"):
         run(finished, resume=True)

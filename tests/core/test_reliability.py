@@ -20,6 +20,7 @@ from cloak_core.core.events import read_events
 from cloak_core.exchange.face_lists import read_colors, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
+from cloak_core.studies.trainings.training import TrainingError
 from tests.core import children
 from tests.core.fakes import BrokenDetector, TinyDetector, box_bodies, front_logo
 from tests.core.test_training import run
@@ -208,20 +209,18 @@ def test_a_background_that_goes_bad(tmp_path, monkeypatch, how):
 
 
 @pytest.mark.slow
-def test_a_detector_that_returns_nan(tmp_path):
+@pytest.mark.parametrize("where", ["output", "gradient"])
+def test_a_detector_that_returns_nan(tmp_path, where):
     attempt = lambda name, detector: run(tmp_path / name, [detector], steps=8, checkpoint_every=1, resume=True)
     whole = attempt("whole", TinyDetector()).colors
-    with pytest.raises(InputError, match=r"step 3: its loss is not finite; not finite: the output of tiny:0") as ended:
-        attempt("run", BrokenDetector(4))
-    assert load_checkpoint(tmp_path / "run" / "checkpoint")[0].step == 3
+    blame = "its loss is .*the output of tiny:0" if where == "output" else "the gradient of its loss"
+    with pytest.raises(TrainingError, match=f"step 3: {blame}") as ended:
+        attempt("run", BrokenDetector(4, in_gradient=where == "gradient"))
+    assert [e["type"] for e in read_events(tmp_path / "run" / "events.jsonl")][-2:] == ["error", "checkpoint"]
+    checkpoint = load_checkpoint(tmp_path / "run" / "checkpoint")[0]
+    assert checkpoint.step == 3 and checkpoint.tensors["parameter"].isfinite().all()
     assert np.array_equal(attempt("run", TinyDetector()).colors, whole)
-    trouble("a detector returns NaN", ended.value)
-
-
-def test_a_folder_that_cannot_be_written(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        children.whole_run(tmp_path / "file" / "run")
+    trouble("a detector returns NaN" + " gradients" * (where == "gradient"), ended.value)
 
 
 @pytest.mark.slow

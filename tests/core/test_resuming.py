@@ -4,7 +4,6 @@ import contextlib
 import os
 import shutil
 import signal
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -80,6 +79,10 @@ def test_resuming_with_anything_else_is_refused_by_name(tmp_path):
         run(tmp_path / "run", resume=True, seed=1)
     with pytest.raises(InputError, match="detectors"):
         run(tmp_path / "run", [TinyDetector(1)], resume=True)
+    detector = TinyDetector()
+    detector.operating_point = 0.1
+    with pytest.raises(InputError, match=r"operating_point = 0\.5, not 0\.1"):
+        run(tmp_path / "run", [detector], resume=True)
     run(tmp_path / "run", resume=True, checkpoint_every=5)
 
 
@@ -116,17 +119,3 @@ def test_a_signal_asks_once_and_then_acts(tmp_path, number):
         assert heard == ["ours", "ours"]
     finally:
         signal.signal(number, before)
-
-
-def test_other_threads_leave_the_handlers_alone(tmp_path):
-    before = signal.getsignal(signal.SIGTERM)
-    seen = []
-
-    def work():
-        with stop_request(tmp_path / "cancel") as stop:
-            seen.append((signal.getsignal(signal.SIGTERM) is before, stop.reason(0.0)))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert seen == [(True, "")]

@@ -15,7 +15,6 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import load_backgrounds
 from cloak_core.studies.trainings import run_record
-from tests.core.fakes import TinyDetector
 from tests.core.test_training import run as box_run
 from tests.detectors.helpers import TINY_CFG, write_tiny
 
@@ -44,15 +43,6 @@ def python_detector(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     (folder / "near.py").write_text("GAIN = 2.0\n")
     monkeypatch.syspath_prepend(folder)
     return f"python:{folder / 'mine.py'}:make"
-
-
-@pytest.mark.slow
-def test_a_detector_cut_at_another_score_is_trained_anew(tmp_path: Path) -> None:
-    detector = TinyDetector()
-    run(tmp_path / "run", detector)
-    detector.operating_point = 0.1
-    with pytest.raises(InputError, match=r"operating_point = 0\.5, not 0\.1"):
-        run(tmp_path / "run", detector)
 
 
 @pytest.mark.slow

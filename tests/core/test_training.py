@@ -15,9 +15,8 @@ from cloak_core.core.settings import make_settings
 from cloak_core.exchange.face_lists import read_colors, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.studies.trainings.training import TrainingError, train
+from cloak_core.studies.trainings.training import train
 from tests.core.fakes import (
-    BrokenDetector,
     RedDetector,
     TinyDetector,
     back_logo,
@@ -132,24 +131,6 @@ def test_an_existing_folder_is_left_alone(tmp_path):
             run(tmp_path / "other", resume=resume)
     assert [path.name for path in (tmp_path / "other").iterdir()] == ["notes.txt"]
     assert before == {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("in_gradient", [False, True])
-def test_not_finite_stops_before_the_update_and_names_the_step(tmp_path, in_gradient):
-    with pytest.raises(TrainingError, match=r"step 3: .*not finite") as raised:
-        run(tmp_path / "run", [BrokenDetector(4, in_gradient)], checkpoint_every=1)
-    if not in_gradient:
-        assert "output of tiny:0" in str(raised.value)
-    sound = run(tmp_path / "sound", steps=3, schedule="constant")
-    broken = read_colors(tmp_path / "run" / "colors.npy")
-    assert np.isfinite(broken).all() and broken.shape == sound.colors.shape
-    assert [e["type"] for e in read_events(tmp_path / "run" / "events.jsonl")][-2:] == ["error", "checkpoint"]
-    resumed = run(tmp_path / "run", resume=True, checkpoint_every=1)
-    assert np.array_equal(resumed.colors, run(tmp_path / "whole").colors)
-
-
-# --- stopping and going on -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -162,13 +162,6 @@ def test_a_spec_says_which_class_it_looks_for(suffix: str, spec: str) -> None:
     assert load_detector(spec + suffix, person_class="0").person == 0
 
 
-def test_operating_points() -> None:
-    builtin = load_detector("builtin")
-    assert builtin.operating_point == 0.5 and not builtin.operating_point_assumed
-    own = load_detector("builtin@conf=0.3")
-    assert own.operating_point == 0.3 and not own.operating_point_assumed
-
-
 def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = []
 
@@ -218,17 +211,6 @@ def test_letterbox_keeps_the_aspect_ratio(tmp_path: Path) -> None:
     outer = detector(wide)
     torch.testing.assert_close(outer.scores, inner.scores)
     torch.testing.assert_close(outer.boxes, (inner.boxes - torch.tensor([0.0, 16, 0, 16])) * 2)
-
-
-def test_person_class_by_name_index_and_default(tmp_path: Path) -> None:
-    cfg = TINY_CFG.replace("classes=1", "classes=2").replace("filters=12", "filters=14")
-    spec = write_tiny(tmp_path, cfg, names=("cat", "Person"))
-    both = load_detector(spec)(images()), load_detector(spec, person_class="cat")(images())
-    torch.testing.assert_close(both[0].scores + both[1].scores, both[0].objectness)
-    assert torch.equal(both[0].is_person, ~both[1].is_person)
-    assert torch.equal(load_detector(spec, person_class="0")(images()).scores, both[1].scores)
-    with pytest.raises(InputError, match=r"tiny.cfg: no class 'dog' among its 2 \(cat, Person\)"):
-        load_detector(spec, person_class="dog")
 
 
 def test_names_come_from_a_list_beside_the_cfg(tmp_path: Path) -> None:

@@ -128,14 +128,6 @@ def test_preprocessing_equals_the_image_processor(tmp_path: Path) -> None:
     assert np.abs((ours - theirs).numpy()).max() < 0.02  # the library rounds to whole grey levels after resizing
 
 
-def test_bad_folders(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such folder, and not in the local cache"):
-        load_detector("transformers:no/such-model")
-    (tmp_path / "config.json").write_text("{")
-    with pytest.raises(InputError, match="cannot be loaded"):
-        load_detector(f"transformers:{tmp_path}")
-
-
 def test_incomplete_weights_and_missing_person(tmp_path: Path) -> None:
     model = save("Yolos", tmp_path)
     with pytest.raises(InputError, match="no class 'horse' among its 3"):

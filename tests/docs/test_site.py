@@ -57,35 +57,6 @@ def test_the_list_of_commands_says_what_their_help_says(monkeypatch: pytest.Monk
     assert written == build_docs.commands_list(), f"run `make docs` to write {build_docs.COMMANDS_LIST.name} again"
 
 
-def test_a_wide_table_scrolls_in_itself_on_a_small_screen() -> None:
-    """On 1,280 pixels a page's table is not cut off: each stands in what scrolls."""
-    templates = {page.name: page.read_text("utf-8") for page in (ROOT / "cloak_core").rglob("templates/*.html")}
-    tables = [
-        (name, text[: found.start()]) for name, text in templates.items() for found in re.finditer("<table", text)
-    ]
-    assert len(tables) >= 9
-    assert not [name for name, before in tables if not re.search(r'<div class="scroll">\s*$', before)]
-    style = (ROOT / "cloak_core" / "studies" / "report" / "templates" / "style.css").read_text("utf-8")
-    assert re.search(r"^\.scroll {\n  overflow-x: auto;", style, re.MULTILINE)
-
-
-def test_files_that_the_guide_names_are_there() -> None:
-    places = (ROOT, ROOT / "cloak_core", ROOT / "blender_addon")
-    named = re.findall(r"`((?:[\w.-]+/)+[\w-]+\.\w+)`", (ROOT / "CONTRIBUTING.md").read_text("utf-8"))
-    assert named
-    assert not [name for name in named if not any((place / name).exists() for place in places)]
-
-
-def test_the_picture_of_the_rooms_has_each_room_and_no_way_that_another_shows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    draw = importlib.import_module("draw_rooms")
-    below = {"a": set(), "b": {"a"}, "c": {"a", "b"}, "side": {"a"}}
-    assert draw.floors_of(below) == [["a"], ["b", "side"], ["c"]]
-    assert draw.nearest("c", below) == {"b"}
-    rooms = {path.parent.name for path in (ROOT / "cloak_core").glob("*/__init__.py")}
-    assert set(re.findall(r'font-weight="bold">(\w+)<', draw.rooms_svg())) == rooms
-
-
 @pytest.mark.slow
 def test_no_public_name_is_without_words() -> None:
     package = griffe.load("cloak_core", search_paths=[ROOT], resolve_aliases=True)

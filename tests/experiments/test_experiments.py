@@ -28,11 +28,6 @@ from cloak_core.studies import store, training_store
 from cloak_core.studies.store import DataSplit, RunStore
 from tests.studies.made_split import Glow, make_options, make_split
 
-PAPER = ("table1", "single-angle", "wide-angle", "transfer", "tv", "distance", "shape", "resolution")
-"""In the order in which `all` runs them."""
-QUICK = {"tv"}
-"""Of the experiments; the others run with the tests that are slow by nature."""
-
 
 @pytest.fixture(scope="module")
 def split() -> DataSplit:
@@ -44,12 +39,6 @@ def finished(split: DataSplit, tmp_path_factory: pytest.TempPathFactory) -> tupl
     """A folder in which `transfer` was run, and its record."""
     out = tmp_path_factory.mktemp("out")
     return out, run_experiment("transfer", RunStore(split, make_options(out)))
-
-
-def test_every_experiment_is_declared_whole_the_papers_first() -> None:
-    assert tuple(experiments()) == tuple(EXPERIMENTS) and tuple(experiments())[: len(PAPER)] == PAPER
-    for experiment in experiments().values():
-        assert experiment.title and experiment.caption.endswith(".") and experiment.figures
 
 
 @pytest.mark.long
@@ -128,9 +117,7 @@ def test_figures_come_from_the_numbers_alone(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in EXPERIMENTS]
-)
+@pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_runs(name: str, split: DataSplit, tmp_path_factory: pytest.TempPathFactory) -> None:
     out = tmp_path_factory.getbasetemp() / "experiments"  # one folder, so that they share as they do for users
     if name == "render-gap":  # every frame is a render of Blender's

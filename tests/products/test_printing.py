@@ -20,7 +20,6 @@ from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
-from cloak_core.products import printing
 from cloak_core.products.baking import Texture, bake
 from cloak_core.products.layout import Layout, lay_out, signed_areas
 from cloak_core.products.printing import print_logo, print_pattern
@@ -31,12 +30,6 @@ from cloak_core.sources.bodies.people.samples import sample_bodies
 from cloak_core.sources.bodies.view_cache import ViewCache
 
 DPI = 100
-
-
-def outlines(layout: Layout, bodies: Bodies, chart: int) -> np.ndarray:
-    """The edges at a chart's border."""
-    borders = find_borders(layout, bodies)
-    return borders.lines[borders.chart == chart]
 
 
 @pytest.fixture(scope="module")
@@ -112,18 +105,6 @@ def test_every_face_finds_its_colour_in_the_picture(
     assert np.array_equal(look_up(texture, texture.uv[large].mean(axis=1)), wanted[large])
 
 
-def test_no_white_shows_at_the_charts_borders(texture: Texture, layout: Layout, body: Bodies) -> None:
-    """Two pixels outside every border there is still colour, so smooth sampling finds no seam."""
-    dots = DPI / 0.0254
-    for chart in range(layout.chart_count):
-        lines = outlines(layout, body, chart)
-        middle, along = lines.mean(axis=1), lines[:, 1] - lines[:, 0]
-        outwards = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
-        points = (middle * dots + 2 * outwards).astype(int)
-        seen = texture.image[texture.chart_rows - 1 - points[:, 1], points[:, 0]]
-        assert (seen == 255).all(axis=1).mean() < 0.01
-
-
 @pytest.mark.slow
 def test_the_textured_body_looks_like_the_coloured_one(body: Bodies, noise: FacePattern, layout: Layout) -> None:
     """Rendered through the picture and through the face colours: within 2/255 but for one pixel in a thousand.
@@ -187,13 +168,6 @@ def test_bad_options(tmp_path: Path, body: Bodies, noise: FacePattern, options: 
     (tmp_path / "q" / "x").write_text("mine")
     with pytest.raises(InputError, match="exists"):
         print_pattern(body, noise, tmp_path / "q")
-
-
-def test_what_four_inks_mix_stays_and_other_colours_come_near() -> None:
-    mixed, green = [0.612, 0.611, 0.607], [0.0, 1.0, 0.0]
-    near, beyond, sent = printing._what_comes_out(np.float32([mixed, green]), None, None)
-    assert beyond.tolist() == [False, True] and sent is None
-    assert near[0] == pytest.approx(mixed) and near[1] == pytest.approx([0.0, 0.588, 0.251], abs=0.2)
 
 
 @pytest.mark.slow

@@ -123,14 +123,6 @@ def test_what_was_made_of_other_content_is_not_taken_for_done(tmp_path, runs, mo
     assert before.write_results()["done"] == 1  # what is as it was is found again
 
 
-def test_the_results_of_an_earlier_version_are_refused_in_one_line(tmp_path, runs):
-    results = tmp_path / "out" / "results"
-    results.mkdir(parents=True)
-    (results / "lr=0.02,seed=0-1a2b3c4d.json").write_text("{}")
-    with pytest.raises(InputError, match=r"out: holds the results of a sweep by an earlier version, .* another --out"):
-        Sweep(runs, tmp_path / "out").run()
-
-
 @pytest.mark.slow
 def test_a_stopped_sweep_goes_on_where_it_was(tmp_path, runs):
     def stop(event):

@@ -12,7 +12,6 @@ from cloak_core.core.logo import Cover
 from cloak_core.core.paint import blank
 from cloak_core.core.visibility.compiled import torch_alone
 from cloak_core.files.errors import InputError
-from cloak_core.jobs.processes import Processes
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.controls import OwnClothing
 from cloak_core.patterns.faces import FacePattern
@@ -24,7 +23,6 @@ from cloak_core.sources.photographs.fits import fit_people, pack_fit, unpack_fit
 from cloak_core.sources.photographs.fitting import _drawn_out, fit_all
 from cloak_core.sources.photographs.people import load_people
 from cloak_core.sources.photographs.posing import pose_to
-from cloak_core.sources.photographs.resampling import Kernel, resample, spread_back
 from cloak_core.sources.photographs.rig import ANNY, NUMBER, body_rig, faces_on_rig
 from cloak_core.sources.photographs.views import EXACT, FitJitter, Framing, framing_of, logo_positions, photograph_view
 from tests.sources.photographs.made_people import (
@@ -134,13 +132,6 @@ def test_a_stored_fit_is_small_and_its_views_are_the_same(fitted):
     assert np.array_equal(stored.rest, fitted.rest)
 
 
-def test_processes_fit_people_to_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setenv("CLOAK_CACHE", "off")
-    people = load_people(write_people(tmp_path, 2))
-    here, there = fit_people(people), fit_people(people, executor=Processes(1))
-    assert [fit.identity for fit in here] == [fit.identity for fit in there]
-
-
 @pytest.mark.parametrize("scene", ["sample", "sample-clothed:unseen"])
 def test_every_clothed_face_of_a_known_topology_is_somewhere_on_the_rig(scene):
     bodies = load_scene(scene)
@@ -202,32 +193,6 @@ def test_jitter_moves_faces_and_never_leaves_the_clothes(fitted):
     assert (shares != moved).nnz > 100
     assert tight.box == loose.box
     assert (np.asarray(moved.sum(axis=1)).ravel() <= 1 + 1e-6).all()
-
-
-def kernels(start: float, side: float, size: int, **more: object) -> tuple[Kernel, Kernel]:
-    return Kernel.of(start, side, size, 40, **more), Kernel.of(start / 2, side, size, 30)
-
-
-@pytest.mark.parametrize(
-    "down,across",
-    [
-        kernels(3.0, 20.0, 50),
-        kernels(-9.5, 70.0, 13, softness=1.7, mirror=True),
-        kernels(0.0, 24.0, 24, mirror=True),
-        kernels(500.0, 40.0, 8),  # beyond the photograph
-    ],
-)
-def test_kernels_and_their_transposes(down: Kernel, across: Kernel) -> None:
-    """Loops and torch give the same sums, and <A x, y> = <x, A' y>."""
-    random = torch.Generator().manual_seed(0)
-    picture = torch.rand(40, 30, 3, generator=random)
-    upstream = torch.rand(len(down.first), len(across.first), 3, generator=random)
-    seen, back = resample(picture, down, across), spread_back(upstream, down, across)
-    with torch_alone():
-        torch.testing.assert_close(resample(picture, down, across), seen, rtol=0, atol=1e-6)
-        torch.testing.assert_close(spread_back(upstream, down, across), back, rtol=0, atol=1e-5)
-    inner = lambda a, b: (a.double() * b.double()).sum()
-    torch.testing.assert_close(inner(seen, upstream), inner(picture, back), rtol=1e-6, atol=0)
 
 
 FRAMINGS = {
