@@ -20,6 +20,7 @@ from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.patterns.cloth import ClothPattern, Grid
 from cloak_core.patterns.faces import FacePattern
+from cloak_core.products import printing
 from cloak_core.products.baking import Texture, bake
 from cloak_core.products.layout import Layout, lay_out, signed_areas
 from cloak_core.products.printing import print_logo, print_pattern
@@ -168,6 +169,13 @@ def test_bad_options(tmp_path: Path, body: Bodies, noise: FacePattern, options: 
     (tmp_path / "q" / "x").write_text("mine")
     with pytest.raises(InputError, match="exists"):
         print_pattern(body, noise, tmp_path / "q")
+
+
+def test_what_four_inks_mix_stays_and_other_colours_come_near() -> None:
+    mixed, green = [0.612, 0.611, 0.607], [0.0, 1.0, 0.0]
+    near, beyond, sent = printing._what_comes_out(np.float32([mixed, green]), None, None)
+    assert beyond.tolist() == [False, True] and sent is None
+    assert near[0] == pytest.approx(mixed) and near[1] == pytest.approx([0.0, 0.588, 0.251], abs=0.2)
 
 
 @pytest.mark.slow
