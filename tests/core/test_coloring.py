@@ -67,6 +67,8 @@ def test_a_grid_is_linear_between_its_nodes():
         octaves.matrix.to_dense().double(), torch.from_numpy(np.c_[places, places[:, 0]])
     ).solution
     assert np.allclose(octaves(nodes.float())[:, :2].numpy(), places, atol=1e-4)
+    # Nodes 2, 4 and 8 apart, and the one after the last place.
+    assert octave_sums(np.arange(17.0)[:, None], 1.0, 4).width == 9 + 1 + 5 + 1 + 3 + 1
 
 
 def test_rounds_of_smoothing_are_a_product_with_a_symmetric_matrix_whose_rows_sum_to_one():

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cloak_core.core.places import corner_places
 from cloak_core.core.polygons import per_corner
 from cloak_core.exchange.bodies import MAX_FACES, MAX_POSES, Bodies
-from cloak_core.exchange.cloth import corner_uv
+from cloak_core.exchange.cloth import cloth_metres, corner_uv
 from cloak_core.exchange.face_lists import (
     face_ids,
     hottest_faces,
@@ -282,3 +282,9 @@ def test_cloth_lies_as_in_the_pose_that_the_scene_names(tmp_path):
         replace(other, laid_out=np.where(np.arange(other.vertex_count)[:, None] == 3, np.nan, bodies.vertices[0]))
     with pytest.raises(InputError, match="laid_out: float32 of shape"):
         replace(other, laid_out=bodies.vertices[0][:5])
+
+
+@pytest.mark.parametrize("settings", [3, {"tile_cm": 0}, {"tile_cm": "w"}])
+def test_a_run_that_does_not_say_how_wide_its_cloth_is(tmp_path, settings):
+    (tmp_path / "config.json").write_text(json.dumps({"settings": settings}))
+    refused(r"config\.json: does not say how wide cloth\.png is", cloth_metres, tmp_path)
