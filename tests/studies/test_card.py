@@ -37,17 +37,10 @@ from tests.studies.made_split import TINY, Bulb, make_store
 
 
 @pytest.mark.slow
-def test_the_card_is_what_the_schema_says(made: tuple[Path, dict, list]) -> None:
-    for name in ("glow", "dark"):
-        validate("card", (made[0] / name / "card.json").read_text("utf-8"))
-
-
-@pytest.mark.slow
 def test_the_card_has_what_the_protocol_asks_for(made: tuple[Path, dict, list]) -> None:
     out, card, told = made
-    assert json.loads((out / "glow/card.json").read_text()) == json.loads(json.dumps(card, allow_nan=False))
+    assert validate("card", (out / "glow/card.json").read_text()) == json.loads(json.dumps(card, allow_nan=False))
     assert (card["protocol"], card["size"], card["spec"], card["operating_point"]) == ("2", "tiny", "glow", 0.25)
-    assert {"recall", "recall_own", "ap50", "ap50_95", "false_alarms", "n", "ci95"} <= card["clean"].keys()
     assert card["clean"]["n"] == 6 and card["clean"]["backgrounds"] == 4
     assert card["recall_by"].keys() == {"distance", "azimuth", "elevation", "body", "pose"}
     assert not any(character.isdigit() for pose in card["recall_by"]["pose"] for character in pose)
@@ -81,7 +74,7 @@ def test_it_is_made_once_and_the_same_again(made: tuple[Path, dict, list], monke
 
 @pytest.mark.slow
 def test_of_a_black_box_only_what_needs_no_gradients(made: tuple[Path, dict, list]) -> None:
-    card = json.loads((made[0] / "dark/card.json").read_text())
+    card = validate("card", (made[0] / "dark/card.json").read_text())
     assert card["white_box"] == [] and card["circle"] is None and card["clean"]["n"] == 6
     said = words.not_tested(card)
     assert "gives no gradients" in said[0] and "No cloak made against other detectors" in said[1]
@@ -94,8 +87,8 @@ def test_of_a_black_box_only_what_needs_no_gradients(made: tuple[Path, dict, lis
 def test_the_page_needs_nothing_but_itself(made: tuple[Path, dict, list]) -> None:
     page = (made[0] / "glow/card.html").read_text("utf-8")
     assert "<script" not in page and not re.search(r"(src|href)=\"(?!data:|#)", page)
-    for words_of in ("What was not tested", "By the cloak", "All around", "By the detection threshold"):
-        assert words_of in page
+    heads = ("What was not tested", "By the cloak", "All around", "By the detection threshold")
+    assert all(head in page for head in heads)
     assert all(line["said"] in page for line in words.lines(made[1])) and words.relation(made[1]) in page
     assert (made[0] / "glow/card.md").read_text().startswith("| detector |")
 

@@ -82,7 +82,7 @@ def fixed(size: Size) -> dict:
 
 
 def card_of(stated: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) -> dict:
-    """Make a card. told: what it says itself (`entry.CARD`); rows: by part, a table for each repetition.
+    """Make a card. stated: what it says itself (`entry.CARD`); rows: by part, a table for each repetition.
 
     InputError: people in photographs do not wear the strongest of the zoo's cloaks.
     """
@@ -114,7 +114,7 @@ def card_of(stated: Mapping, size: Size, rows: Mapping[str, Sequence[Results]]) 
 def expected_card(stated: Mapping, size: Size, worn: Sequence[str]) -> dict:
     """Make the card of a call from rows in which a detector finds everybody in own clothing, and nobody else.
 
-    told: what the card will say itself (`entry.CARD`); worn: the patterns of people in photographs, by name.
+    stated: what the card will say itself (`entry.CARD`); worn: the patterns of people in photographs, by name.
     """
     zoo = [MARK + row["name"] for row in stated["black_box"]["zoo"] if not row["trained_against_it"]]
     shown = (*[AGAINST] * stated["differentiable"], *zoo[:1], *worn, *HEADS, GREY_HEAD, *UNTRAINED)

@@ -141,7 +141,7 @@ def part_of_area(area: float) -> str:
 
 
 def parts_of(stated: Mapping, size: Size) -> list[Part]:
-    """List the parts of a card in the order of measuring. told: what a card says itself (`entry.CARD`)."""
+    """List the parts of a card in the order of measuring. stated: what a card says itself (`entry.CARD`)."""
     base = {"size": size.pixels, "shift": min(50, size.pixels // 8), "seed": stated["made"]["seed"]}
     # Own clothing and untrained patterns from everywhere, and bare scenes.
     places = (
