@@ -191,11 +191,10 @@ def test_one_rule_says_how_sure_a_figure_is_everywhere() -> None:
     """A cloak of 25 updates: no page, badge, table or gate takes its share for the detector's."""
     card = short_card()
     assert words.judge(card)[:2] == ("good", "no attack hid half") and words.tiles(card)[1]["kind"] == "good"
-    states = [Part("x", steps=n, area=area).state("") for n, area in ((25, 0.76), (300, 0.2))]
-    assert states == ["at least"] * 2
-    states = [Part("x", steps=n, area=area).state("") for n, area in ((300, 0.76), (600, None))]
-    assert states == ["measured"] * 2 and Part("zoo x").state("held") == "measured"
+    cases = ((25, 0.76, "at least"), (300, 0.2, "at least"), (300, 0.76, "measured"), (600, None, "measured"))
+    assert all(Part("x", steps=n, area=area).state("") == sure for n, area, sure in cases)
     assert Part("circle", steps=600).state("the second stage is held") == "at least"
+    assert Part("zoo x").state("held") == "measured"
     card["white_box"] = [hiding(card["white_box"][0], 0.02, "at least") | {"steps": 25}]
     (line,) = words.lines(card)
     assert "at least 2 %" in words.headline(card) and line["value"] == "≥ 2 %"
@@ -243,7 +242,7 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(wor
     assert list(rows)[4:7] == [*HEADS, GREY_HEAD] and list(worn_rows(card)) == shown, "no headline of covered heads"
 
 
-TABLE = """
+CLOTH = """
 [tcega]
 file = "white.png"
 put_on = "cloth"
@@ -251,15 +250,8 @@ metres = 0.25
 trained_on = "YOLOv2"
 source = "somewhere"
 licence = "MIT"
-
-[other]
-file = "white.png"
-put_on = "patch"
-metres = 0.3
-trained_on = "nothing"
-source = "here"
-licence = "CC0-1.0"
 """
+TABLE = CLOTH + CLOTH.replace("tcega", "other").replace("cloth", "patch").replace("0.25", "0.3")
 
 
 def test_a_pattern_folder_says_how_each_picture_is_put_on(tmp_path: Path) -> None:
