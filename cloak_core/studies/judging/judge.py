@@ -217,7 +217,6 @@ def _table_text(rows: pd.DataFrame) -> str:
 
 PAIRS, WORST = 8, 6
 LABELS = {WITH: "with the cloak", WITHOUT: "without"}
-GROUPS = {"by_person": "person", "by_scene": "scene", "by_distance": "distance (m)"}
 
 
 def write_report(path: Path, name: str, summary: dict, rows: pd.DataFrame, pictures: Sequence[Picture]) -> Path:
@@ -233,7 +232,6 @@ def write_report(path: Path, name: str, summary: dict, rows: pd.DataFrame, pictu
         "summary": summary,
         "detectors": [_detector(summary, spec, group, shot) for spec, group in by_detector.items()],
         "pairs": [[shot(i) for i in pair] for pair in shown_pairs(subjects)],
-        "settings": [(key.replace("_", " "), f"{value:g}") for key, value in summary["settings"].items()],
     }
     return page.write_page(path, "judge.html", values)
 
@@ -250,9 +248,6 @@ def shown_pairs(subjects: pd.DataFrame) -> list[tuple[int, int]]:
 
 
 def _detector(summary: dict, spec: str, rows: pd.DataFrame, shot: object) -> dict:
-    figures = summary["detectors"][spec]
-    table = [(LABELS[WITH], figures[WITH], "--c0"), (LABELS[WITHOUT], figures[WITHOUT], "--c1")]
-    table += [(name, rates, f"--c{2 + k % 4}") for k, (name, rates) in enumerate(figures["controls"].items())]
     gone = undetected(rows, summary["threshold"])
 
     def worst(garment: str, missed: bool) -> list[dict]:
@@ -262,12 +257,7 @@ def _detector(summary: dict, spec: str, rows: pd.DataFrame, shot: object) -> dic
     return {
         "spec": spec,
         "name": short_name(spec),
-        "own": summary["operating_points"][spec],
-        "hash": summary["detector_hashes"][spec],
-        "rows": table,
-        "told": figures,
-        "groups": {title: list(figures[key].items()) for key, title in GROUPS.items() if len(figures.get(key, {})) > 1},
-        "figures": page.figures(plots.found_by_distance, figures.get("by_distance", {}), LABELS),
+        "figures": page.figures(plots.found_by_distance, summary["detectors"][spec].get("by_distance", {}), LABELS),
         "found": worst(WITH, missed=False),
         "missed": worst(WITHOUT, missed=True),
         "alarms": worst(NOBODY, missed=False),
