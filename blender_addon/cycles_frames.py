@@ -16,7 +16,6 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -24,17 +23,15 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))  # last: numpy there may be of another Python
-from blender_addon.blender.colors import nodes_of, srgb_to_linear
+from blender_addon.blender.colors import new_material, nodes_of, srgb_to_linear, write_face_colors
+from blender_addon.blender.marks import COLORS, PREFIX
 from blender_addon.body.objects import blender_axes
 from blender_addon.result.render_check import set_up
-
-COLORS = "colors"
-
 
 # --- light -----------------------------------------------------------------------------------------------------------
 
 
-def matching(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
+def matching(scene: bpy.types.Scene, material: bpy.types.Material, color: bpy.types.NodeSocket) -> None:
     """What the trainer's light model has, and nothing else: even light from everywhere (as emission, so that nothing
     shades it) and one distant lamp without shadows; a matte surface; no light that was reflected before.
 
@@ -42,58 +39,35 @@ def matching(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
     facing the lamp come out alike, and so, nearly, does what is between.
     """
     shade, lit = srgb_to_linear(0.5), srgb_to_linear(0.8)
-    nodes, links, color = _empty(material)
+    nodes, links = nodes_of(material)
     emission, diffuse, both = (nodes.new(f"Shader{n}") for n in ("NodeEmission", "NodeBsdfDiffuse", "NodeAddShader"))
     emission.inputs["Strength"].default_value = float(shade)
     for shader, socket in ((emission, 0), (diffuse, 1)):
         links.new(color, shader.inputs["Color"])
         links.new(shader.outputs[0], both.inputs[socket])
-    links.new(both.outputs[0], nodes["Output"].inputs["Surface"])
+    output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    links.new(both.outputs[0], output.inputs["Surface"])  # in place of what a cloth has
     sun = _lamp(scene, "SUN", (0.0, 85.0, 100.0), math.pi * float(lit - shade))
     sun.use_shadow = False
     scene.cycles.max_bounces = 0
 
 
-def studio(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
+def studio(scene: bpy.types.Scene, *_: object) -> None:
     """A softbox from the upper left, a weak one from the right, a dim room: soft shadows, reflected light, sheen."""
-    _cloth(material)
     _surround(scene, (0.16, 0.16, 0.17), (0.10, 0.09, 0.08))
     for place, side, watts in (((-1.8, 1.9, 2.4), 1.2, 150.0), ((2.4, 0.6, 1.6), 0.8, 28.0)):
         lamp = _lamp(scene, "AREA", place, watts)
         lamp.shape, lamp.size = "SQUARE", side
 
 
-def sky(scene: bpy.types.Scene, material: bpy.types.Material) -> None:
+def sky(scene: bpy.types.Scene, *_: object) -> None:
     """Outdoors: a blue sky above, brown ground below, and a warm sun from the right that casts shadows."""
-    _cloth(material)
     _surround(scene, (0.32, 0.42, 0.58), (0.20, 0.17, 0.13))
     sun = _lamp(scene, "SUN", (1.1, 1.3, 1.0), 1.9)
     sun.color, sun.angle = (1.0, 0.94, 0.84), math.radians(2)
 
 
-LIGHTS: dict[str, Callable[[bpy.types.Scene, bpy.types.Material], None]] = {
-    "matching": matching,
-    "studio": studio,
-    "sky": sky,
-}
-
-
-def _empty(material: bpy.types.Material) -> tuple:
-    """A material's nodes and links with nothing but the output and the face colours, and those colours."""
-    nodes, links = nodes_of(material)
-    nodes.clear()
-    nodes.new("ShaderNodeOutputMaterial").name = "Output"
-    source = nodes.new("ShaderNodeVertexColor")
-    source.layer_name = COLORS
-    return nodes, links, source.outputs["Color"]
-
-
-def _cloth(material: bpy.types.Material) -> None:
-    nodes, links, color = _empty(material)
-    shader = nodes.new("ShaderNodeBsdfPrincipled")
-    shader.inputs["Roughness"].default_value = 0.6
-    links.new(color, shader.inputs["Base Color"])
-    links.new(shader.outputs[0], nodes["Output"].inputs["Surface"])
+LIGHTS = {"matching": matching, "studio": studio, "sky": sky}
 
 
 def _lamp(scene: bpy.types.Scene, kind: str, place: tuple[float, float, float], power: float) -> bpy.types.Light:
@@ -142,33 +116,25 @@ def new_scene(light: str, size: int, samples: int) -> tuple[bpy.types.Scene, bpy
     scene.cycles.use_adaptive_sampling = False
     # The trainer's pixels are boxes of one pixel.
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 1.0
-    material = bpy.data.materials.new("body")
-    LIGHTS[light](scene, material)
+    material, source = new_material("body", "ShaderNodeVertexColor")
+    source.layer_name = PREFIX + COLORS
+    LIGHTS[light](scene, material, source.outputs["Color"])
     scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(scene.camera)
     return scene, material, scene.camera
 
 
 def new_body(scene: bpy.types.Scene, vertices: np.ndarray, normals: np.ndarray, triangles: np.ndarray) -> object:
-    """One body: smooth, with the trainer's own vertex normals, and room for a colour per face."""
+    """One body: smooth, with the trainer's own vertex normals."""
     mesh = bpy.data.meshes.new("body")
     mesh.from_pydata(blender_axes(vertices).tolist(), [], triangles.tolist())
     if len(mesh.polygons) != len(triangles):
         raise RuntimeError(f"Blender made {len(mesh.polygons)} faces of {len(triangles)} triangles")
     mesh.polygons.foreach_set("use_smooth", np.ones(len(triangles), bool))
     mesh.normals_split_custom_set_from_vertices(blender_axes(normals).tolist())
-    mesh.color_attributes.new(COLORS, "FLOAT_COLOR", "CORNER")
     obj = bpy.data.objects.new("body", mesh)
     scene.collection.objects.link(obj)
     return obj
-
-
-def paint(obj: bpy.types.Object, colors: np.ndarray) -> None:
-    """Display colours [T, 3] onto the triangles."""
-    rgba = np.ones((len(colors), 4), np.float32)
-    rgba[:, :3] = srgb_to_linear(colors)
-    obj.data.color_attributes[COLORS].data.foreach_set("color", np.repeat(rgba, 3, axis=0).ravel())
-    obj.data.update_tag()
 
 
 def aim(camera: bpy.types.Object, frame: dict, near: float, far: float) -> None:
@@ -201,7 +167,7 @@ def render_frames(folder: Path) -> None:
             pose = frame["pose"]
             body = new_body(scene, arrays["vertices"][pose], arrays["normals"][pose], arrays["triangles"])
             body.data.materials.append(material)
-        paint(body, arrays["colors"][frame["colors"]])
+        write_face_colors(body, COLORS, arrays["colors"][frame["colors"]])
         aim(camera, frame, job["near"], job["far"])
         partial = folder / f"partial-{frame['file']}"
         scene.render.filepath = str(partial)
