@@ -37,20 +37,14 @@ def read_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize("name", ["Cloak", "cloak.colors", "cloak_own_material"])
-def test_a_vertex_group_of_any_name_hangs_no_job(ready, name):
-    ready.vertex_groups.new(name=name)
-    bpy.ops.cloak.train_start()
-    assert run_job().state == "done"
-    assert red_faces(ready) == [10, 20, 30, 333] and ready.vertex_groups.keys() == [name]
-
-
 @pytest.mark.parametrize("name", OURS)
-def test_a_logo_of_any_name_survives_the_live_colours(ready, name):
-    mask = np.isin(np.arange(len(ready.data.polygons)), [10, 20, 30])
+def test_logos_and_vertex_groups_of_any_name_survive_the_live_colours(ready, name):
+    mask, group = np.isin(np.arange(len(ready.data.polygons)), [10, 20, 30]), OURS[OURS.index(name) - 1]
+    ready.vertex_groups.new(name=group)
     ready.cloak.logo = faces.new_logo(ready, name, mask)
     bpy.ops.cloak.train_start()
     assert run_job().state == "done" and folder_of(ready).name == f"Body {name}"
+    assert red_faces(ready) == [10, 20, 30] and ready.vertex_groups.keys() == [group]
     bpy.ops.cloak.subdivide()
     assert faces.logo_names(ready.data) == ["Brust/Ärmel", name]
     assert faces.active_logo(ready) == name
