@@ -5,7 +5,7 @@ from pathlib import Path
 import bmesh
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 
 def link(mesh: bpy.types.Mesh, name: str = "Body") -> bpy.types.Object:
@@ -16,29 +16,19 @@ def link(mesh: bpy.types.Mesh, name: str = "Body") -> bpy.types.Object:
     return obj
 
 
-def make_egg(rings: int = 24, height: float = 1.8, name: str = "Body") -> bpy.types.Object:
-    """A closed body as tall as a person, made in an instant: quads with triangle fans at both poles, symmetric in X."""
-    turn = np.arange(2 * rings)
-    tilt, angle = np.pi * np.arange(1, rings)[:, None] / rings, np.pi * turn / rings
-    rim = np.sin(tilt) * np.stack([0.35 * np.cos(angle), 0.25 * np.sin(angle)])[:, None]
-    half = height / 2
-    points = np.stack([*rim, np.broadcast_to(half - half * np.cos(tilt), rim[0].shape)], -1).reshape(-1, 3)
-    ahead, below = (turn + 1) % len(turn), np.arange(rings - 2)[:, None] * len(turn)
-    quads = np.stack([below + turn, below + ahead, below + len(turn) + ahead, below + len(turn) + turn], -1)
-    low, high = np.full(len(turn), len(points)), np.full(len(turn), len(points) + 1)
-    top = (rings - 2) * len(turn)
-    loops = [quads, np.stack([low, ahead, turn], -1), np.stack([high, top + turn, top + ahead], -1)]
-    counts = np.concatenate([np.full(quads.size // 4, 4), np.full(2 * len(turn), 3)])
+def mesh_of(bm: bmesh.types.BMesh, name: str) -> bpy.types.Object:
+    """An object of what was built."""
     mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(len(points) + 2)
-    mesh.vertices.foreach_set("co", np.concatenate([points, [[0, 0, 0], [0, 0, height]]]).astype(np.float32).ravel())
-    mesh.loops.add(int(counts.sum()))
-    mesh.loops.foreach_set("vertex_index", np.concatenate([loop.ravel() for loop in loops]).astype(np.int32))
-    mesh.polygons.add(len(counts))
-    mesh.polygons.foreach_set("loop_start", (np.cumsum(counts) - counts).astype(np.int32))
-    mesh.update(calc_edges=True)
-    assert not mesh.validate()
+    bm.to_mesh(mesh)
+    bm.free()
     return link(mesh, name)
+
+
+def make_egg(rings: int = 24, height: float = 1.8, name: str = "Body") -> bpy.types.Object:
+    """A closed body as tall as a person, symmetric in X: quads, with fans of triangles at both poles."""
+    bm, place = bmesh.new(), Matrix.Translation((0, 0, height / 2)) @ Matrix.Diagonal((0.35, 0.25, height / 2, 1))
+    bmesh.ops.create_uvsphere(bm, u_segments=2 * rings, v_segments=rings, radius=1, matrix=place)
+    return mesh_of(bm, name)
 
 
 def make_fine_egg(faces: int, name: str = "Fine") -> bpy.types.Object:
@@ -62,15 +52,12 @@ def add_ngons(obj: bpy.types.Object, every: int = 7) -> None:
 
 
 def make_grid(faces: int = 55_000, name: str = "Grid") -> bpy.types.Object:
-    """At least `faces` triangles on a plane that stands up and faces the front."""
-    side = int(np.ceil((faces / 2) ** 0.5)) + 1
-    x, z = np.meshgrid(np.linspace(-1, 1, side), np.linspace(0, 2, side))
-    points = np.stack([x.ravel(), 0.01 * np.sin(9 * x.ravel()), z.ravel()], -1)
-    a = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
-    triangles = np.concatenate([np.stack([a, a + 1, a + side + 1], -1), np.stack([a, a + side + 1, a + side], -1)])
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(points.tolist(), [], triangles.tolist())
-    return link(mesh, name)
+    """At least `faces` triangles on a plane of 2 m that stands up and faces the front."""
+    bm, side = bmesh.new(), int(np.ceil((faces / 2) ** 0.5))
+    place = Matrix.Translation((0, 0, 1)) @ Matrix.Rotation(np.pi / 2, 4, "X")
+    bmesh.ops.create_grid(bm, x_segments=side, y_segments=side, size=1, matrix=place)
+    bmesh.ops.triangulate(bm, faces=bm.faces[:])
+    return mesh_of(bm, name)
 
 
 def set_mode(mode: str) -> None:
