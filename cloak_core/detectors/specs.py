@@ -68,43 +68,40 @@ def parse_spec(spec: str) -> Request:
     """Take a spec apart. InputError: an option given twice, one that is no number or outside its range."""
     match = _OPTIONS.match(spec)
     what, options = (match["what"], match["options"].split(",")) if match else (spec, [])
-    kinds = [next(kind for kind, form in OPTIONS.items() if re.fullmatch(form, option)) for option in options]
-    if len(set(kinds)) < len(kinds):
-        raise InputError(f"detector {spec!r}: {max(kinds, key=kinds.count)} is given twice")
-    options_by_kind = dict(zip(kinds, options, strict=True))
-    sides = [int(side) for side in options_by_kind["size"].split("x")] if "size" in options_by_kind else []
-    (confidence,) = _numbers(spec, options_by_kind["conf"]) if "conf" in options_by_kind else (None,)
+    said: dict[str, str] = {}
+    numbers: dict[str, tuple[float, ...]] = {}
+    for option in options:
+        kind = next(kind for kind, form in OPTIONS.items() if re.fullmatch(form, option))
+        if kind in said:
+            raise InputError(f"detector {spec!r}: {kind} is given twice")
+        said[kind] = option.partition("=")[2] or option
+        if kind in ("range", "mean", "std", "conf"):
+            try:
+                numbers[kind] = tuple(float(part) for part in said[kind].split("/"))
+            except ValueError:
+                raise InputError(f"detector {spec!r}: {option} holds something that is no number") from None
+    (confidence,) = numbers.pop("conf", (None,))
     if confidence is not None and not 0 < confidence < 1:
         raise InputError(f"detector {spec!r}: conf={confidence:g} is not in (0, 1)")
+    if 0 in numbers.get("std", ()):
+        raise InputError(f"detector {spec!r}: a standard deviation of 0 in std={said['std']}")
+    pixels = None
+    if numbers or "bgr" in said:
+        (scale,) = numbers.pop("range", (1.0,))
+        pixels = PixelFormat(bgr=said.get("bgr") == "bgr", range=scale, **numbers)
+    sides = [int(side) for side in said["size"].split("x")] if "size" in said else []
     family, _, what = what.partition(":")
     return Request(
         spec,
         family,
         what,
         input_size=(sides[0], sides[-1]) if sides else None,
-        letterbox=options_by_kind.get("letterbox") == "letterbox",
-        stretch=options_by_kind.get("letterbox") == "stretch",
-        person_class=options_by_kind["person"].partition("=")[2] if "person" in options_by_kind else None,
-        pixels=_pixels(spec, options_by_kind),
+        letterbox=said.get("letterbox") == "letterbox",
+        stretch=said.get("letterbox") == "stretch",
+        person_class=said.get("person"),
+        pixels=pixels,
         confidence=confidence,
     )
-
-
-def _pixels(spec: str, options: dict[str, str]) -> PixelFormat | None:
-    if not {"bgr", "range", "mean", "std"} & options.keys():
-        return None
-    values = {name: _numbers(spec, options[name]) for name in ("mean", "std", "range") if name in options}
-    if 0 in values.get("std", ()):
-        raise InputError(f"detector {spec!r}: a standard deviation of 0 in {options['std']}")
-    (scale,) = values.pop("range", (1.0,))
-    return PixelFormat(bgr=options.get("bgr") == "bgr", range=scale, **values)
-
-
-def _numbers(spec: str, option: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in option.partition("=")[2].split("/"))
-    except ValueError:
-        raise InputError(f"detector {spec!r}: {option} holds something that is no number") from None
 
 
 def check_size(size: tuple[int, int], what: object) -> tuple[int, int]:
