@@ -40,14 +40,15 @@ def before_choice(file: ModelFile) -> ModelFile:
     from onnx.helper import make_tensor_value_info
     from onnx.utils import Extractor
 
-    if len(file.model.graph.output) != 1 or file.model.graph.sparse_initializer:
+    if len(file.model.graph.output) != 1:
         return file
     for names in _all_rows(file) if file.suppresses else _boxes_and_scores(file.model.graph):
-        part = Extractor(file.model)
-        part.value_infos |= {name: make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names}
-        model = part.extract_model([file.input_name], list(names))
-        cut = replace(file, model=model, output_names=names, layout=(END_TO_END, EVERY_BOX), suppresses="")
-        with contextlib.suppress(InputError, RuntimeError, IndexError):  # onnxruntime's words, or other shapes
+        with contextlib.suppress(InputError, RuntimeError, IndexError, ValueError, AssertionError):
+            # Words of onnxruntime and of onnx, or other shapes.
+            part = Extractor(file.model)
+            part.value_infos |= {name: make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names}
+            model = part.extract_model([file.input_name], list(names))
+            cut = replace(file, model=model, output_names=names, layout=(END_TO_END, EVERY_BOX), suppresses="")
             if _has_the_same_best(file, cut):
                 return cut
     return file
