@@ -47,11 +47,16 @@ class Made:
             helper.make_node(operation, inputs.split(), outputs.split(), name=outputs.split()[0], **attributes)
         )
 
-    def body(self, images: str = "images", bias: str = "bias") -> None:
-        self.node("Conv", f"{images} first", "stem", strides=[8, 8])
+    def body(
+        self, images: str = "images", bias: str = "bias", grid: str = "grid", norm: str = "", **stem: object
+    ) -> None:
+        """norm: inputs of a batch norm after the first convolution; stem: attributes of that convolution."""
+        self.node("Conv", f"{images} first", "plain" if norm else "stem", strides=[8, 8], **stem)
+        if norm:
+            self.node("BatchNormalization", f"plain {norm}", "stem")
         self.node("Sigmoid", "stem", "gate")
         self.node("Mul", "stem gate", "active")
-        self.node("Conv", f"active second {bias}", "grid", pads=[1, 1, 1, 1])
+        self.node("Conv", f"active second {bias}", grid, pads=[1, 1, 1, 1])
 
     def head(self, flat: str = "flat") -> None:
         self.node("Reshape", f"grid {flat}", "rows")
@@ -64,9 +69,9 @@ class Made:
         self.node("Sigmoid", "logits", "scores")
         self.node("Concat", "boxes scores", "output", axis=1)
 
-    def finished(self) -> "Made":
-        self.body()
-        self.head()
+    def finished(self, flat: str = "flat", **body: object) -> "Made":
+        self.body(**body)
+        self.head(flat)
         return self
 
     def save(
@@ -118,8 +123,7 @@ def test_tells_the_best_other_class(path: Path) -> None:
 def test_a_reshape_of_a_fixed_batch_is_run_image_by_image(tmp_path: Path, caplog) -> None:
     made = Made()
     made.weight("fixed", np.array([1, 6, -1]), onnx.TensorProto.INT64)
-    made.body()
-    made.head("fixed")
+    made.finished("fixed")
     path = made.save(tmp_path / "fixed.onnx")
     with caplog.at_level(logging.WARNING):
         detector = load_detector(f"onnx:{path}")
@@ -136,8 +140,7 @@ def test_integers_are_a_black_box(tmp_path: Path, caplog) -> None:
     made.weight("zero", np.array(0), onnx.TensorProto.UINT8)
     made.node("QuantizeLinear", "images scale zero", "bytes")
     made.node("DequantizeLinear", "bytes scale zero", "back")
-    made.body("back")
-    made.head()
+    made.finished(images="back")
     with caplog.at_level(logging.WARNING):
         detector = load_detector(f"onnx:{made.save(tmp_path / 'int8.onnx')}")
     assert "a black box, good for evaluation alone: it computes in integers (bytes, back)" in caplog.text
@@ -173,8 +176,7 @@ def test_sizes_and_layouts_that_do_not_fit(path: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown layout 'yolo9'; known are yolov5"):
         load_detector(f"onnx:{path}:yolo9")
     made = Made()
-    made.body()
-    made.node("Identity", "grid", "output")
+    made.body(grid="output")
     with pytest.raises(InputError, match=r"output \[1, 6, 8, 8\] are of no known layout; say onnx:FILE:LAYOUT"):
         load_detector(f"onnx:{made.save(tmp_path / 'grid.onnx')}")
 

@@ -74,8 +74,7 @@ def test_resize_to_sizes(tmp_path: Path) -> None:
 def test_a_black_box_of_a_fixed_batch_is_asked_image_by_image(tmp_path: Path, caplog) -> None:
     made = Made()
     made.weight("fixed", np.array([1, 6, -1]), INT)
-    made.body()
-    made.nodes[-1].output[0] = made.nodes[-1].name = "rough"
+    made.body(grid="rough")
     made.node("Shrink", "rough", "grid", lambd=0.0)
     made.head("fixed")
     path = made.save(tmp_path / "m.onnx")
@@ -200,8 +199,7 @@ def end_to_end(path: Path, scale: float = 1.0, bias: str = "bias") -> Path:
     made = Made()
     if bias == "copied":
         made.node("Identity", "bias", "copied")
-    made.body(bias=bias)
-    made.head()
+    made.finished(bias=bias)
     made.nodes.pop()  # the joined output
     for name, values in {"k": [KEPT], "last": [2], "two": [2]}.items():
         made.weight(name, np.array(values), INT)

@@ -99,8 +99,7 @@ def test_what_is_new_and_used_is_named(operation: str, constants: dict, attribut
 def made(**spoilt: float) -> Made:
     """A network with what is new since opset 18, and a cast that is listed after its use."""
     made = Made()
-    made.body()
-    made.nodes[-1].output[0] = made.nodes[-1].name = "rough"
+    made.body(grid="rough")
     made.node("Split", "rough", "low high", axis=1, num_outputs=2)
     made.node("Concat", "low high", "grid", axis=1)
     made.head()

@@ -40,8 +40,6 @@ class Use:
     module: str
     attribute: str
     transposed: bool = False
-    scale: float = 1.0
-    """The graph holds the file's values times this."""
 
 
 class TrainableWeights:
@@ -69,8 +67,8 @@ class TrainableWeights:
         """By the name of the initializer, or of the output of the Constant node."""
         self._before: dict[str, Tensor] = {}
         for name, places in uses.items():
-            alike = times[name] == len(places) and len({(use.transposed, use.scale) for use in places}) == 1
-            # What would not go back into the file as it came out of it (a factor of 0, say) is not trained.
+            alike = times[name] == len(places) and len({use.transposed for use in places}) == 1
+            # What would not go back into the file as it came out of it (after a Gemm's factor) is not trained.
             held = _as_in_the_file(_tensor_at(graph, places[0]), places[0])
             if alike and name in tensors and np.array_equal(held, numpy_helper.to_array(tensors[name])):
                 self._tie(graph, name, places)
@@ -142,11 +140,9 @@ def _places(
     place = f"{path}.{len(module) - 1}" if isinstance(module, nn.Sequential) else path
     if kernel is not None and isinstance(getattr(inner, "weight", None), nn.Parameter):
         linear = operation == "Gemm"
-        alpha = float(node.attributes.get("alpha", 1.0)) if linear else 1.0
-        beta = float(node.attributes.get("beta", 1.0)) if linear else 1.0
-        yield kernel, Use(place, "weight", linear and not node.attributes.get("transB", 0), alpha)
+        yield kernel, Use(place, "weight", linear and not node.attributes.get("transB", 0))
         if len(inputs) > kernel + 1 and inputs[kernel + 1]:
-            yield kernel + 1, Use(place, "bias", scale=beta)
+            yield kernel + 1, Use(place, "bias")
     elif operation == NORMALISES and isinstance(getattr(inner, "weight", None), nn.Parameter):
         yield 1, Use(place, "weight")
         yield 2, Use(place, "bias")
@@ -163,7 +159,7 @@ def _tensor_at(graph: fx.GraphModule, use: Use) -> Tensor:
 
 def _as_in_the_file(value: Tensor, use: Use) -> Shaped[np.ndarray, "*n"]:
     """Undo what the torch graph does to a weight of the file."""
-    values = value.detach().cpu() / use.scale
+    values = value.detach().cpu()
     return np.ascontiguousarray((values.T if use.transposed else values).numpy())
 
 
