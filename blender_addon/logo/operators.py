@@ -15,7 +15,7 @@ from ..blender.faces import read_selection
 from ..blender.marks import COLORS, HEAT, HEATMAP, layer_name, layer_of, make_layer, our_names, remove_layer
 from ..blender.mesh_arrays import current_mesh, face_count, mode_reason, object_mode, read, topology
 from ..body.garments import is_dressed
-from ..body.objects import active_body, logo_reason, object_of, of_the_body, refusal, upright_reason
+from ..body.objects import active_body, body_reason, logo_reason, object_of, of_the_body, refusal, upright_reason
 from ..exchange.face_lists import hottest_faces, write_face_list
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
@@ -131,12 +131,7 @@ def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return mode_reason(obj, "Leave {mode} to see the heat map")
 
 
-def heatmap_reason(context: bpy.types.Context) -> str:
-    """Why no heat can be measured."""
-    return upright_reason(context) or refusal(train_options, context.scene.cloak)
-
-
-@operator("Heatmap", heatmap_reason, trains=True)
+@operator("Heatmap", upright_reason, lambda context: refusal(train_options, context.scene.cloak), trains=True)
 def heatmap(context: bpy.types.Context) -> str:
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
     obj, settings = active_body(context), context.scene.cloak
@@ -235,7 +230,7 @@ def face_sets(obj: bpy.types.Object) -> Items:
     """
     items: Items = []
     with current_mesh(obj) as mesh:
-        for name in [attribute.name for attribute in mesh.attributes if is_face_set(obj, attribute)]:
+        for name in face_set_names(obj):
             title = TITLES.get(name, name)
             values = np.unique(_integers(mesh, name))[:MAX_SETS].tolist()
             items += [(f"{value} {name}", f"{title} {value}", f"Faces whose '{name}' is {value}") for value in values]
@@ -245,15 +240,10 @@ def face_sets(obj: bpy.types.Object) -> Items:
 ADD = props.switch("Add", "Add to the active logo instead of making a new one")
 
 
-@of_the_body
-def material_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why no material can be picked."""
-    return "" if len(obj.material_slots) else "The body has no materials"
-
-
 @operator(
     "From Material",
-    material_reason,
+    body_reason,
+    lambda context: "" if active_body(context).material_slots else "The body has no materials",
     slot=EnumProperty(name="Material", description="Whose faces to take", items=_menu(materials)),
     add=ADD,
 )
@@ -264,16 +254,12 @@ def logo_from_material(context: bpy.types.Context, obj: bpy.types.Object, slot: 
         return _pick(obj, mask, materials(obj)[int(slot)][1], add)
 
 
-@of_the_body
-def face_set_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why no face set can be picked."""
-    found = any(is_face_set(obj, attribute) for attribute in obj.data.attributes)
-    return "" if found else "The body has no face sets (integer face attributes)"
-
-
 @operator(
     "From Face Set",
-    face_set_reason,
+    body_reason,
+    lambda context: (
+        "" if any(face_set_names(active_body(context))) else "The body has no face sets (integer face attributes)"
+    ),
     face_set=EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(face_sets)),
     add=ADD,
 )
@@ -291,10 +277,10 @@ def _pick(obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool) -> str:
     return f"Logo '{take(obj, mask, name, add)}': {int(mask.sum()):,} faces taken"
 
 
-def is_face_set(obj: bpy.types.Object, attribute: bpy.types.Attribute) -> bool:
-    """Whether an attribute sorts an object's faces by whole numbers, and is not kept by Blender or Cloak themselves."""
-    whole = attribute.data_type in ("INT", "INT8") and attribute.domain == "FACE"
-    return whole and attribute.name not in {colors.SLOTS, *our_names(obj.data)}
+def face_set_names(obj: bpy.types.Object) -> list[str]:
+    """The attributes that sort an object's faces by whole numbers, and are not kept by Blender or Cloak themselves."""
+    whole = [a.name for a in obj.data.attributes if a.data_type in ("INT", "INT8") and a.domain == "FACE"]
+    return [name for name in whole if name not in {colors.SLOTS, *our_names(obj.data)}]
 
 
 def _integers(mesh: bpy.types.Mesh, name: str) -> np.ndarray:

@@ -35,7 +35,7 @@ SIZES = {
 HELP = "Move: place   Wheel, + -: size   R: rotate with the mouse   Click, Enter: stamp   Right click, Esc: cancel"
 
 
-class MouseOperator(CloakOperator, needs=body_reason):
+class MouseOperator(CloakOperator):
     """Base of operators that follow the mouse over a viewport, and show what they will take until they end.
 
     `begin(context, obj)` reads the body's `surface` and returns the colour of the preview on it; `follow(mouse)` gets
@@ -88,7 +88,7 @@ class MouseOperator(CloakOperator, needs=body_reason):
         return self.attempt(self.write, *arguments) if write else {"CANCELLED"}
 
 
-class CLOAK_OT_logo_paint(MouseOperator, label="Paint Logo"):
+class CLOAK_OT_logo_paint(MouseOperator, label="Paint Logo", needs=[body_reason]):
     """Paint faces into the active logo, or out of it with Ctrl. The brush takes faces that look to the side it \
 touches; with X-Ray on, also those behind, all through the body"""
 
@@ -200,7 +200,7 @@ def logo_stamp(context: bpy.types.Context, obj: bpy.types.Object, add: bool) -> 
     return placed.make_logo(front_projection(obj, *place, placed.aspect), add)
 
 
-class CLOAK_OT_stamp_drag(MouseOperator, label="Place Stamp", needs=upright_reason, told_by="kind"):
+class CLOAK_OT_stamp_drag(MouseOperator, label="Place Stamp", needs=[upright_reason], told_by="kind"):
     """Drag the stamp over the body, see what it takes, click to stamp. The mouse wheel resizes, R rotates"""
 
     add: ADD

@@ -60,6 +60,11 @@ def poses_reason(context: bpy.types.Context, obj: bpy.types.Object, choice: Pose
     return reason or refusal(require_own_animation, [obj, *worn_by(obj)], choice) or modifiers_reason(obj)
 
 
+def standing_reason(context: bpy.types.Context) -> str:
+    """Why the body cannot be exported as it stands."""
+    return poses_reason(context, PoseChoice())
+
+
 def export_summary(context: bpy.types.Context) -> str:
     """What will be exported, counted."""
     obj, settings = active_body(context), context.scene.cloak

@@ -16,8 +16,7 @@ from ..body.garments import is_dressed
 from ..body.objects import active_body, of_the_body, refusal
 from ..files.errors import InputError
 from ..files.writing import write_json, written
-from ..poses.export import poses_reason
-from ..poses.poses import PoseChoice
+from ..poses.export import poses_reason, standing_reason
 from ..session import session
 from ..trainer.jobs import Job, launch, run_cloak, waits
 from ..trainer.program import cloak_command, options, require, trainer
@@ -122,12 +121,11 @@ beside controls on the same images. The result is shown here and as a ring aroun
     return f"Evaluating {run.name}" + run_cloak("Evaluation", words, folder, "evaluate", ended, True)
 
 
-def eye_reason(context: bpy.types.Context) -> str:
-    """Why the detector cannot look."""
-    return "" if session.eye else poses_reason(context, PoseChoice()) or refusal(judges, context.scene.cloak)
-
-
-@operator("Detector's Eye", eye_reason, trains=True)
+@operator(
+    "Detector's Eye",
+    lambda context: "" if session.eye else standing_reason(context) or refusal(judges, context.scene.cloak),
+    trains=True,
+)
 def eye(context: bpy.types.Context) -> str:
     """Let the detector look at the body from where you look, or the camera, and draw what it sees over the viewport. \
 It goes on looking as you move, and while a training runs, until this is pressed again"""

@@ -27,7 +27,7 @@ from ..exchange.face_lists import read_face_list, write_colors
 from ..exchange.scenes import read_scene
 from ..files.reading import read_json
 from ..files.writing import new_folder, write_json, written
-from ..poses.export import Export, export, poses_reason
+from ..poses.export import Export, export, standing_reason
 from ..poses.poses import PoseChoice
 from ..properties import output_folder
 from ..trainer.jobs import run_cloak
@@ -137,14 +137,10 @@ def _open(report: Path) -> str:
 # --- cloths that were not trained here: a picture is worn as what a training would have left --------------------------
 
 
-def cloth_reason(context: bpy.types.Context) -> str:
-    """Why no picture can be worn."""
-    return logo_reason(context) or poses_reason(context, PoseChoice())
-
-
 @operator(
     "Picture as Cloth",
-    cloth_reason,
+    logo_reason,
+    standing_reason,
     undo=True,
     reads=".png;*.jpg;*.jpeg;*.webp",
     width=props.number("Width", "After how many metres it repeats", 0.25, min=0.01, max=10.0),

@@ -13,7 +13,7 @@ from ..body.garments import worn_by
 from ..body.objects import active_body, of_the_body, refusal, scene_axes
 from ..files.errors import InputError
 from ..files.writing import write_text, written
-from ..poses.export import poses_reason
+from ..poses.export import standing_reason
 from ..poses.poses import PoseChoice
 from ..trainer.jobs import run_cloak
 from ..training.detectors import judges
@@ -63,12 +63,7 @@ def write_camera(context: bpy.types.Context, path: Path, pivot: np.ndarray) -> N
     write_text(path, "\n".join(["time,azimuth,elevation,distance", *rows, ""]))
 
 
-def film_reason(context: bpy.types.Context) -> str:
-    """Why no turntable can be made, and no sheets to print."""
-    return judged_reason(context) or poses_reason(context, PoseChoice())
-
-
-@operator("Print Sheets", film_reason, trains=True)
+@operator("Print Sheets", judged_reason, standing_reason, trains=True)
 def print_sheets(context: bpy.types.Context) -> str:
     """Lay the logo out flat at true size: sheets to print and cut (PDF), a texture, and the body with it (GLB, OBJ)"""
     obj = active_body(context)
@@ -81,19 +76,20 @@ def print_sheets(context: bpy.types.Context) -> str:
     return f"Laying the logo out in {place}" + run_cloak("Print Sheets", words, side_folder(run), "print", ended)
 
 
-@operator("Turntable", film_reason, trains=True)
+@operator("Turntable", judged_reason, standing_reason, trains=True)
 def turntable(context: bpy.types.Context) -> str:
     """Film the body as it stands from all around, in own clothing and in the cloak, with what the detector sees"""
     seconds = context.scene.cloak.judging.film_seconds
     return make_film(context, "Turntable", TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"], PoseChoice())
 
 
-def camera_reason(context: bpy.types.Context) -> str:
-    """Why the scene's camera cannot film the body."""
-    return film_reason(context) or refusal(of_camera, context.scene, active_body(context))
-
-
-@operator("Film with Camera", camera_reason, trains=True)
+@operator(
+    "Film with Camera",
+    judged_reason,
+    standing_reason,
+    lambda context: refusal(of_camera, context.scene, active_body(context)),
+    trains=True,
+)
 def film(context: bpy.types.Context) -> str:
     """Film the body along the way of the scene's camera, over the scene's frames, in own clothing and in the cloak, \
 with what the detector sees. The camera looks at the middle of the body, which with Poses > Current Pose stands still"""

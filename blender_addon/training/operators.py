@@ -131,12 +131,11 @@ def set_angles(context: bpy.types.Context, angles: str) -> str:
     return ""
 
 
-def cancel_reason(context: bpy.types.Context) -> str:
-    """Why nothing can be cancelled."""
-    return "" if any(job.active for job in session.jobs) else "Nothing is running"
-
-
-@operator("Cancel", cancel_reason, number=props.whole("Job", "Its place in the queue; -1: the one that runs", -1))
+@operator(
+    "Cancel",
+    lambda context: "" if any(job.active for job in session.jobs) else "Nothing is running",
+    number=props.whole("Job", "Its place in the queue; -1: the one that runs", -1),
+)
 def train_cancel(context: bpy.types.Context, number: int) -> str:
     """End the job; a training ends after the current step and can be resumed"""
     job = session.jobs[number] if 0 <= number < len(session.jobs) else session.job

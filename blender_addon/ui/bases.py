@@ -6,7 +6,7 @@ Of operators: `InputError` becomes a message in the status bar, and nothing else
 
 import inspect
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 
 import blf
@@ -21,6 +21,8 @@ from ..trainer.program import Unasked, trainer_reason
 from ..translations import said
 from .window import in_window, progress_cursor
 
+Reason = Callable[[bpy.types.Context], str]
+"""Why an operator cannot run now, "" when it can: what a greyed button says. Quick: asked on every redraw."""
 WITH_UNDO = {"REGISTER", "UNDO"}  # of operators that change the mesh and have ended when they return
 
 
@@ -29,26 +31,20 @@ class CloakOperator(bpy.types.Operator):
 
     bl_options = {"REGISTER"}  # noqa: RUF012
 
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        """Why the operator cannot run now, "" when it can: what a greyed button says. Quick: asked on every redraw."""
-        return ""
-
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        reason = (cls.trains and trainer_reason()) or cls.needs(context)
+        reasons = (reason(context) for reason in cls.needs)
+        reason = (cls.trains and trainer_reason()) or next(filter(None, reasons), "")
         if reason:
             cls.poll_message_set(said(reason))
         return not reason
 
     def __init_subclass__(
-        cls, label: str = "", needs: Callable | None = None, trains: bool = False, told_by: str = ""
+        cls, label: str = "", needs: Sequence[Reason] = (), trains: bool = False, told_by: str = ""
     ) -> None:
         """trains: it needs the trainer. told_by: the property by which its buttons, and so their tooltips, differ."""
         cls.bl_idname, cls.bl_label = "cloak." + cls.__name__.removeprefix("CLOAK_OT_"), label
-        cls.trains, cls.told_by = trains, told_by
-        if needs is not None:
-            cls.needs = staticmethod(needs)
+        cls.needs, cls.trains, cls.told_by = needs, trains, told_by
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -83,7 +79,7 @@ class CloakOperator(bpy.types.Operator):
 
 def operator(
     label: str,
-    needs: Callable[[bpy.types.Context], str] | None = None,
+    *needs: Reason,
     undo: bool = False,
     reads: str = "",
     writes: str = "",
@@ -117,7 +113,7 @@ def operator(
             parts["bl_options"] = WITH_UNDO
         if confirm:
             parts["invoke"] = lambda self, context, event: context.window_manager.invoke_confirm(self, event)
-        known = {"needs": needs or (body_reason if changes else None), "trains": trains, "told_by": told_by}
+        known = {"needs": needs or ([body_reason] if changes else []), "trains": trains, "told_by": told_by}
         work.operator = type(f"CLOAK_OT_{work.__name__}", bases, parts, label=label, **known)
         return work
 

@@ -82,6 +82,8 @@ def sentences() -> list[str]:
                 found |= {_pattern(node.args[1]).replace("{mode}", "{}"): None}
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("wrapped", "figure"):
                 found |= {_pattern(word): None for word in node.args[1:3]}
+            elif isinstance(node, ast.Lambda):  # a reason of one operator alone
+                found |= dict.fromkeys(_texts(node.body))
             elif isinstance(node, ast.FunctionDef) and (node.name.endswith("_reason")):
                 found |= {_pattern(said.value): None for said in ast.walk(node) if isinstance(said, ast.Return)}
     return [text for text in found if text and sum(map(str.isalpha, text)) > 5]
