@@ -1,10 +1,10 @@
-"""The colours that a training begins with."""
+"""The colours that a training begins with, and the plain prints among them: without a seam."""
 
 import numpy as np
 import pytest
 
 from cloak_core.core.logo import load_logo, make_logo
-from cloak_core.core.prints import print_picture
+from cloak_core.core.prints import PRINT_METRES, PRINTS, print_picture
 from cloak_core.core.settings import make_settings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.cloth import ClothPattern, Grid
@@ -54,3 +54,13 @@ def test_a_small_logo_gets_a_small_animal_and_a_flat_one_none(samples: Bodies) -
     side = make_logo(cube(), [1])
     assert (animal_face(cube(), side) == 0.5).all()
     assert np.isfinite(animal_face(cube(), make_logo(cube(), [0, 1, 4, 5]))).all()
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_a_print_repeats_every_quarter_of_a_metre(name: str) -> None:
+    places = np.random.default_rng(0).random((500, 2)) * PRINT_METRES
+    colors = PRINTS[name].at(places)
+    assert colors.dtype == np.float32 and colors.min() >= 0 and colors.max() <= 1
+    for period in ((PRINT_METRES, 0), (0, PRINT_METRES), (-PRINT_METRES, 3 * PRINT_METRES)):
+        moved = PRINTS[name].at(places + period)
+        assert (abs(moved - colors) < 1e-3).all(axis=1).mean() > 0.99, "all but places on an edge"

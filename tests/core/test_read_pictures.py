@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cloak_core.core.pictures import ORIENTATION, read_picture
+from cloak_core.core.pictures import ORIENTATION, open_picture, read_picture
 from cloak_core.detectors.check import read_image
 from cloak_core.files.errors import InputError
 from cloak_core.studies.opening import open_pattern
+from tests.commands.malformed.making import png_of
 
 RAMP = np.linspace(0, 1, 40).reshape(5, 8)
 DEPTHS = {
@@ -49,3 +50,14 @@ def test_a_deep_picture_keeps_its_orientation(tmp_path: Path) -> None:
     exif[ORIENTATION] = 6
     path = saved(tmp_path, "16.png", exif=exif)
     assert read_image(path).shape == (3, 8, 5)
+
+
+def test_formats_that_start_programs_are_no_pictures(tmp_path: Path) -> None:
+    Image.new("RGB", (4, 4)).save(tmp_path / "a.eps")
+    with pytest.raises(InputError, match=r"a\.eps: not a readable picture"):
+        read_picture(tmp_path / "a.eps")
+    Image.new("L", (4, 3), 7).save(tmp_path / "a.bmp")
+    assert read_picture(tmp_path / "a.bmp").tolist() == [[[7, 7, 7]] * 4] * 3
+    (tmp_path / "large.png").write_bytes(png_of(12000, 12000))
+    with pytest.raises(InputError, match="12000 x 12000 pixels, more than"), open_picture(tmp_path / "large.png"):
+        pass

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.core import batches
 from cloak_core.core.detector.protocol import state_hash
 from cloak_core.core.events import read_events
 from cloak_core.core.losses import person_loss, total_variation
 from cloak_core.core.settings import make_settings
-from cloak_core.exchange.face_lists import read_colors, read_face_list
+from cloak_core.exchange.face_lists import read_colors, read_face_list, write_colors
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import lock
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.studies.trainings.training import train
 from tests.core.fakes import (
@@ -135,27 +137,66 @@ def test_an_existing_folder_is_left_alone(tmp_path):
 
 @pytest.mark.slow
 def test_two_runs_in_one_folder(tmp_path):
-    refused = []
-
-    def second(event):
-        if event["type"] == "step" and event["step"] == 1:
-            thread = threading.Thread(target=attempt)
-            thread.start()
-            thread.join()
-
-    def attempt():
-        try:
-            run(tmp_path / "run", resume=True)
-        except InputError as error:
-            refused.append(str(error))
-
-    run(tmp_path / "run", on_event=second)
-    assert len(refused) == 1 and "another process is training" in refused[0]
-    steps = [e["step"] for e in read_events(tmp_path / "run" / "events.jsonl") if e["type"] == "step"]
-    assert steps == list(range(1, 7))
+    """tests/core/test_reliability.py starts four at once."""
+    run(tmp_path / "run", steps=1)
+    with lock(tmp_path / "run" / ".lock"), pytest.raises(InputError, match="another process is training"):
+        run(tmp_path / "run", resume=True)
 
 
-# --- the whole chain -------------------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_when_a_batch_is_built_changes_no_bit(tmp_path, monkeypatch):
+    """Beside the detector, or between two steps."""
+    scheme = {"steps": 8, "angles": "0..360", "distance": "2:2.5", "cutout": 0.3}
+    found, threads = {}, {}
+    build = batches.Batcher.batch
+
+    def told(self: batches.Batcher, step: int, rank: int = 0, ranks: int = 1) -> batches.Batch:
+        threads.setdefault(ahead, set()).add(threading.current_thread().name.partition("_")[0])
+        return build(self, step, rank, ranks)
+
+    monkeypatch.setattr(batches.Batcher, "batch", told)
+    for ahead in (True, False):
+        monkeypatch.setattr(batches, "looks_ahead", lambda device, ahead=ahead: ahead)
+        found[ahead] = run(tmp_path / str(ahead), **scheme).colors
+    assert threads == {True: {"MainThread", "batches"}, False: {"MainThread"}}
+    assert np.array_equal(found[True], found[False])
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_from_another_runs_colours_or_from_a_file(tmp_path):
+    first = run(tmp_path / "first")
+    close = {"steps": 1, "lr": 1e-6}
+    for name, init in (("run", tmp_path / "first"), ("file", tmp_path / "first" / "colors.npy")):
+        np.testing.assert_allclose(run(tmp_path / name, init=str(init), **close).colors, first.colors, atol=1e-4)
+    assert np.abs(run(tmp_path / "anew", **close).colors - first.colors).max() > 0.01
+
+
+@pytest.mark.slow
+def test_resuming_needs_the_same_first_colours(tmp_path):
+    write_colors(tmp_path / "c.npy", np.full((16, 3), 0.25))
+    done = run(tmp_path / "run", init=str(tmp_path / "c.npy"))
+    (tmp_path / "c.npy").rename(tmp_path / "moved.npy")
+    again = run(tmp_path / "run", resume=True, init=str(tmp_path / "moved.npy"))
+    assert np.array_equal(again.colors, done.colors)
+    write_colors(tmp_path / "moved.npy", np.full((16, 3), 0.75))
+    for init in (str(tmp_path / "moved.npy"), None):
+        with pytest.raises(InputError, match=r"start(\.sha256)? = "):
+            run(tmp_path / "run", resume=True, init=init)
+
+
+def test_first_colours_that_do_not_fit(tmp_path):
+    write_colors(tmp_path / "c.npy", np.zeros((3, 3)))
+    run(tmp_path / "back", logo=back_logo(box_bodies()), angles="180", steps=1)
+    (tmp_path / "empty").mkdir()
+    for init, says in (
+        ("c.npy", "colours for 3 faces, but the logo has 16"),
+        ("back", "was trained on another logo"),
+        ("empty", "not a run folder"),
+        ("absent", "no such file"),
+    ):
+        with pytest.raises(InputError, match=says):
+            run(tmp_path / "run", init=str(tmp_path / init))
+    assert not (tmp_path / "run").exists()
 
 
 def test_gradient_of_the_whole_chain_against_finite_differences():

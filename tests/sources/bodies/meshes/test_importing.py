@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from cloak_core.core.geometry import face_centres
-from cloak_core.core.pictures import open_picture, read_picture
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.meshes.gltf import read_gltf
@@ -25,9 +24,6 @@ def write_obj(path: Path, vertices: np.ndarray, faces: list, extra: str = "") ->
     lines += ["f " + " ".join(str(v + 1) for v in face) for face in faces]
     path.write_text(extra + "\n".join(lines) + "\n")
     return path
-
-
-# --- OBJ -------------------------------------------------------------------------------------------------------------
 
 
 def test_obj_keeps_polygons_and_order_across_materials(tmp_path: Path) -> None:
@@ -134,9 +130,6 @@ def test_scene_packages_and_meshes_mix(tmp_path: Path) -> None:
     assert both.pose_count == 2 and both.topology == body.topology
 
 
-# --- PLY -------------------------------------------------------------------------------------------------------------
-
-
 def ply(kind: str, faces: list, colors: np.ndarray | None = None) -> bytes:
     """A cube; its faces behind another element that readers have to step over."""
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[kind]
@@ -187,9 +180,6 @@ def test_bad_ply_files(tmp_path: Path) -> None:
         (tmp_path / f"{name}.ply").write_bytes(data)
         with pytest.raises(InputError, match=f"{name}.ply"):
             import_bodies([tmp_path / f"{name}.ply"])
-
-
-# --- glTF ------------------------------------------------------------------------------------------------------------
 
 
 class Gltf:
@@ -313,19 +303,11 @@ def test_gltf_that_is_not_read(tmp_path: Path) -> None:
             import_bodies([made.glb(tmp_path / f"{name}.glb")], frames=frames)
 
 
-# --- small files that unfold to large meshes --------------------------------------------------------------------------
-
-
-def document(primitives: int = 1) -> dict:
-    made = gltf(count=3)
-    made["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}}] * primitives}]
-    return made
-
-
 def test_buffers_are_not_copied_for_every_primitive(tmp_path: Path) -> None:
     """Merging took time in the square of the primitives: each copied the whole buffer view."""
     count, size = 500, 16 << 20
-    made = document(primitives=count)
+    made = gltf(count=3)
+    made["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}}] * count}]
     made["buffers"] = [{"byteLength": size}]
     made["bufferViews"] = [{"buffer": 0, "byteLength": size}]
     binary = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
@@ -341,7 +323,7 @@ def test_pictures_together_larger_than_any(tmp_path: Path, monkeypatch: pytest.M
     """One picture in many colours would be held once for each of them."""
     (tmp_path / "white.png").write_bytes(png_of(60, 60, rows=60))
     monkeypatch.setattr("cloak_core.sources.bodies.meshes.gltf_document.MAX_PIXELS", 2 * 60 * 60)
-    made = document()
+    made = gltf(count=3)
     made["images"] = [{"uri": "white.png"}]
     made["textures"] = [{"source": 0}]
     made["materials"] = [
@@ -354,14 +336,3 @@ def test_pictures_together_larger_than_any(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "a.gltf").write_text(json.dumps(made))
     with pytest.raises(InputError, match="its pictures have more than"):
         read_gltf(tmp_path / "a.gltf")
-
-
-def test_formats_that_start_programs_are_no_pictures(tmp_path: Path) -> None:
-    Image.new("RGB", (4, 4)).save(tmp_path / "a.eps")
-    with pytest.raises(InputError, match=r"a\.eps: not a readable picture"):
-        read_picture(tmp_path / "a.eps")
-    Image.new("L", (4, 3), 7).save(tmp_path / "a.bmp")
-    assert read_picture(tmp_path / "a.bmp").tolist() == [[[7, 7, 7]] * 4] * 3
-    (tmp_path / "large.png").write_bytes(png_of(12000, 12000))
-    with pytest.raises(InputError, match="12000 x 12000 pixels, more than"), open_picture(tmp_path / "large.png"):
-        pass
