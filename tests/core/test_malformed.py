@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,16 @@ from cloak_core.files.errors import InputError
 from tests.core.test_training import run
 
 
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    run(folder)
+    return folder
+
+
 @pytest.fixture
-def finished(tmp_path):
-    run(tmp_path / "run")
-    return tmp_path / "run"
+def finished(trained, tmp_path):
+    return Path(shutil.copytree(trained, tmp_path / "run"))
 
 
 def _config(change):
@@ -83,7 +90,7 @@ json_values = st.recursive(
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(st.sampled_from(list(settings_record(make_settings("best")))), json_values)
 def test_any_value_of_any_setting_is_taken_or_refused_by_name(name, value):
     record = {"epochs": None, "steps": 5} | {name: value}

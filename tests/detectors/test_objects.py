@@ -3,6 +3,7 @@
 import dataclasses
 import enum
 import functools
+import importlib
 import logging
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from cloak_core.core.evaluate import identity
 from cloak_core.core.evaluation.settings import EvaluateSettings
 from cloak_core.core.images import ImageSet
 from cloak_core.detectors.loading import as_detector
+from cloak_core.detectors.reachable import content_of
 from cloak_core.files.errors import InputError
 from cloak_core.studies.trained_run import trained_against
 from tests.core.fakes import MadeViews, noise_backgrounds
@@ -212,10 +214,13 @@ def test_an_object_that_changes_after_it_was_given_is_another() -> None:
 
 @pytest.mark.slow
 def test_another_process_finds_the_same() -> None:
-    script = "from tests.detectors.test_objects import PAIRS\nfrom cloak_core.detectors.reachable import content_of\n"
-    script += "print(*(content_of(make(value)) for n, (make, *values) in PAIRS.items() for value in values))"
-    found = {subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout for _ in range(2)}
-    assert len(found) == 1 and len(next(iter(found)).split()) == 2 * len(PAIRS)
+    script = "from tests.detectors.test_objects import contents; print(*contents())"
+    there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout.split()
+    assert there == importlib.import_module("tests.detectors.test_objects").contents() and len(there) == 2 * len(PAIRS)
+
+
+def contents() -> list[str]:
+    return [content_of(make(value)) for make, *values in PAIRS.values() for value in values]
 
 
 @dataclasses.dataclass

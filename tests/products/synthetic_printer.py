@@ -104,13 +104,6 @@ class Tried:
     de2000_unseen: float
     """Mean CIEDE2000 between foretold and true, of random colours that no chart shows."""
 
-    def record(self) -> dict:
-        figures = {name: round(self.profile.figures[name], 3) for name in ("de2000_before", "de2000_after")}
-        return figures | {
-            "patches": int(self.profile.figures["patches"]),
-            "de2000_unseen": round(self.de2000_unseen, 3),
-        }
-
 
 def try_calibration(out: Path, photographs: int = 1, colors: Path | None = None) -> Tried:
     """Print the chart, photograph it, fit a profile, and judge it; all files go to the new folder `out`.

@@ -210,10 +210,9 @@ def test_with_a_profile_the_sheets_have_what_is_to_be_sent(body: Bodies, tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["A4", "Letter"])
-def test_no_page_is_blank_and_all_cloth_is_shown(body: Bodies, page: str) -> None:
+def test_no_page_is_blank_and_all_cloth_is_shown(body: Bodies) -> None:
     """Also of long and slanting pieces: every cell of cloth lies in a window, every window shows cloth of its own."""
-    layout = lay_out(body, select_region(body, "shirt+trousers"))
+    layout, page = lay_out(body, select_region(body, "shirt+trousers")), "Letter"
     found = tiles(layout, page)
     for chart in range(layout.chart_count):
         cloth, mine = cloth_of(layout, chart, 0.002), [tile for tile in found if tile.chart == chart]
