@@ -176,18 +176,25 @@ SURROUNDINGS = {
 }
 
 
+def look(run: cloak_core.RunResult) -> dict:
+    shutil.rmtree(run.out / "evaluation", ignore_errors=True)
+    return cloak_core.evaluate(run, box_bodies(), noise_backgrounds(3), "builtin@64", **LOOK)["detectors"]
+
+
+@pytest.fixture(scope="module")
+def seen(run: cloak_core.RunResult) -> dict:
+    return look(run)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SURROUNDINGS)
-def test_what_surrounds_a_call_changes_no_bit(name: str, run, tmp_path: Path) -> None:
-    bodies, look = box_bodies(), lambda: cloak_core.evaluate(run, bodies, noise_backgrounds(3), "builtin@64", **LOOK)
-    shutil.rmtree(run.out / "evaluation", ignore_errors=True)
-    expected, outside = look(), TinyDetector()
-    shutil.rmtree(run.out / "evaluation")
+def test_what_surrounds_a_call_changes_no_bit(name: str, run, seen, tmp_path: Path) -> None:
+    bodies, outside = box_bodies(), TinyDetector()
     train_here = partial(cloak_core.train, bodies, front_logo(bodies), backgrounds=noise_backgrounds(), **HOW)
     with SURROUNDINGS[name]():
         before = torch.get_default_dtype(), torch.is_inference_mode_enabled(), torch.is_autocast_enabled("cpu")
         assert np.array_equal(train_here(detectors=outside, out=tmp_path / "a").colors, run.colors)
-        assert look()["detectors"] == expected["detectors"]
+        assert look(run) == seen
         if name != "another device":  # where no module has any numbers
             assert train_here(detectors=[TinyDetector(), Mine()], out=tmp_path / "b").step == 4
         assert (

@@ -156,6 +156,7 @@ def _takes(kind: object) -> str:
     return getattr(kind, "metavar", None) or WORDS.get(kind, "VALUE")
 
 
+@cache
 def _documented(cls: type) -> dict[str, str]:
     """Read the string below each field, also of the classes above."""
     docs: dict[str, str] = {}
