@@ -18,8 +18,7 @@ from cloak_core.files.errors import InputError
 if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
 
-NO_LAYOUT = {
-    "layout": "a layout is for onnx:FILE",
+NOT_ONNX = {
     "pixels": "bgr, range, mean and std are for onnx:FILE",
     "stretch": "it stretches unless told letterbox; drop stretch",
 }
@@ -38,7 +37,7 @@ class Family:
     licence: str
     """Of code and weights, as far as the project can say."""
     verified: str
-    refuses: Mapping[str, str] = field(default_factory=lambda: NO_LAYOUT)
+    refuses: Mapping[str, str] = field(default_factory=lambda: NOT_ONNX)
     """Fields of `Request` that mean nothing here, and what is said to whoever sets them."""
     changes_networks: bool = True
     """What it loads is made faster (batch norm folded, memory laid out anew), and can be loaded without that."""
@@ -96,7 +95,7 @@ FAMILIES = {
     "torchvision": Family(
         spec="torchvision:NAME[:CHECKPOINT]",
         loader="torchvision_family:load_torchvision",
-        refuses=NO_LAYOUT | {"letterbox": "torchvision models resize by themselves; drop letterbox"},
+        refuses=NOT_ONNX | {"letterbox": "torchvision models resize by themselves; drop letterbox"},
         weights="your file, or the official checkpoint in the torch cache",
         licence="BSD-3-Clause; official weights: trained on COCO",
         verified="detections and input gradients of torchvision's own models, every name",
@@ -104,7 +103,7 @@ FAMILIES = {
     "transformers": Family(
         spec="transformers:DIRECTORY_OR_CACHED_NAME",
         loader="transformers_family:load_transformers",
-        refuses=NO_LAYOUT | {"letterbox": "the model's own processor resizes; drop letterbox"},
+        refuses=NOT_ONNX | {"letterbox": "the model's own processor resizes; drop letterbox"},
         needs=("transformers",),
         extra="transformers",
         weights="your folder, or the local cache",
@@ -149,7 +148,7 @@ FAMILIES = {
     "ultralytics": Family(
         spec="ultralytics:FILE",
         loader="ultralytics_family.detector:load_ultralytics",
-        refuses={name: why for name, why in NO_LAYOUT.items() if name != "stretch"},
+        refuses={name: why for name, why in NOT_ONNX.items() if name != "stretch"},
         needs=("ultralytics",),
         extra="ultralytics",
         copyleft="AGPL-3.0",
@@ -160,7 +159,7 @@ FAMILIES = {
     "python": Family(
         spec="python:FILE.py:FUNCTION",
         loader="python_module:load_python",
-        refuses=NO_LAYOUT
+        refuses=NOT_ONNX
         | {
             "person_class": "a python module returns the person's scores itself, it has no class to choose "
             "(for one of several detectors write the class into its spec: SPEC@person=CLASS)"

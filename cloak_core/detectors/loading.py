@@ -12,7 +12,7 @@ from cloak_core.core.surroundings import copied, is_foreign, plain_torch, usable
 from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.naming import full_spec, refuse_typing_errors
-from cloak_core.detectors.specs import check_size, parse_spec, with_person_class
+from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError, first_line
 
 PRECISIONS = ("float32", "bfloat16", "auto")
@@ -24,13 +24,9 @@ Given = Detector | nn.Module | Callable | str
 def load_detector(
     spec: str,
     *,
-    input_size: int | tuple[int, int] | None = None,
-    letterbox: bool = False,
-    person_class: str | None = None,
     device: str | torch.device = "cpu",
     precision: str = "float32",
     compiled: bool = False,
-    layout: str | None = None,
     download: bool = False,
     fold: bool = True,
 ) -> Detector:
@@ -39,9 +35,7 @@ def load_detector(
     `families.FAMILIES` has the forms of specs; a file alone is taken by its suffix (`naming.full_spec`). At the end of
     any, options after an @ and joined by commas: `224` or `HEIGHTxWIDTH` sets the network's input size, `letterbox`
     keeps the aspect ratio instead of stretching, `person=CLASS` says which class to look for, by name or index
-    ("person" unless told). The arguments `input_size` (a side, or (height, width)), `letterbox` and `person_class` do
-    the same and win, and `layout` is that of an ONNX model's outputs. The detector's own `spec` always says which class
-    it looks for.
+    ("person" unless told).
 
     `precision`: "float32"; "bfloat16" (see `Detector`); "auto", bfloat16 where the device gains. `compiled` runs it
     through torch.compile. `download` allows official weights to be fetched where they are missing; without it nothing
@@ -56,20 +50,10 @@ def load_detector(
 
         head, rest = defended
         read_head(head, spec)  # before anything is loaded
-        options = {"input_size": input_size, "letterbox": letterbox, "person_class": person_class, "device": device}
-        inner = load_detector(rest, **options, compiled=compiled, layout=layout, download=download, fold=fold)
-        detector = defend(inner, head)
+        detector = defend(load_detector(rest, device=device, compiled=compiled, download=download, fold=fold), head)
         detector.precision = chosen
         return detector
-    request = replace(parse_spec(spec), layout=layout, download=download, fold=fold)
-    if input_size is not None:  # what is said beside the spec wins
-        sides = (input_size, input_size) if isinstance(input_size, int) else input_size
-        request = replace(request, input_size=(int(sides[0]), int(sides[1])))
-    if request.input_size is not None:
-        check_size(request.input_size, f"detector {request.spec}")
-    if person_class is not None:
-        request = replace(request, spec=with_person_class(request.spec, person_class), person_class=person_class)
-    request = replace(request, letterbox=letterbox or request.letterbox)
+    request = replace(parse_spec(spec), download=download, fold=fold)
     family = FAMILIES[request.family]
     family.check(request)
     refuse_typing_errors(request.spec)

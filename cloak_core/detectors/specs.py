@@ -46,8 +46,6 @@ class Request:
     """How the network wants its pixels; None as its family does."""
     confidence: float | None = None
     """The score above which the detector, as it is used, reports a box; None for its own default."""
-    layout: str | None = None
-    """Of a model's outputs, where the family has several."""
     fold: bool = True
     """Fold batch norm, and lay memory out for speed; False to measure against."""
     download: bool = False
@@ -90,12 +88,13 @@ def parse_spec(spec: str) -> Request:
         (scale,) = numbers.pop("range", (1.0,))
         pixels = PixelFormat(bgr=said.get("bgr") == "bgr", range=scale, **numbers)
     sides = [int(side) for side in said["size"].split("x")] if "size" in said else []
+    size = check_size((sides[0], sides[-1]), f"detector {spec}") if sides else None
     family, _, what = what.partition(":")
     return Request(
         spec,
         family,
         what,
-        input_size=(sides[0], sides[-1]) if sides else None,
+        input_size=size,
         letterbox=said.get("letterbox") == "letterbox",
         stretch=said.get("letterbox") == "stretch",
         person_class=said.get("person"),
@@ -111,10 +110,3 @@ def check_size(size: tuple[int, int], what: object) -> tuple[int, int]:
             f"{what}: an input size of {size[0]}x{size[1]} is not possible (1 to {MAX_SIDE} a side; @HEIGHTxWIDTH)"
         )
     return size
-
-
-def with_person_class(spec: str, person_class: str) -> str:
-    """Write the spec of the same detector looking for that class, so that its spec alone loads it again."""
-    if parse_spec(spec).person_class is not None:
-        raise InputError(f"detector {spec!r}: says person= already; drop person_class")
-    return f"{spec}{',' if _OPTIONS.match(spec) else '@'}person={person_class}"

@@ -121,10 +121,8 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_read(typed: str) -> 
 @pytest.mark.parametrize(
     ("spec", "options", "message"),
     [
-        ("builtin@person=person", {"person_class": "0"}, "says person= already; drop person_class"),
-        ("builtin", {"person_class": "dog"}, r"no class 'dog' among its 1 \(person\)"),
+        ("builtin@person=dog", {}, r"no class 'dog' among its 1 \(person\)"),
         ("builtin", {"precision": "half"}, "--precision: 'half' is not one of float32, bfloat16, auto"),
-        ("builtin", {"layout": "yolov8"}, "a layout is for onnx:FILE"),
     ],
 )
 def test_options_that_do_not_fit(spec: str, options: dict, message: str) -> None:
@@ -150,16 +148,16 @@ def test_a_file_with_a_typing_error_is_suggested(tmp_path: Path) -> None:
         load_detector("darknet:none.cfg:none.weights")
 
 
-@pytest.mark.parametrize("suffix", ["", "@96", "@96,letterbox"])
-def test_a_spec_says_which_class_it_looks_for(suffix: str, spec: str) -> None:
+@pytest.mark.parametrize("options", ["@", "@96,", "@96,letterbox,"])
+def test_a_spec_says_which_class_it_looks_for(options: str, spec: str) -> None:
     """So that a run's record loads the same detector again."""
     with pytest.raises(InputError, match=r"no class 'person' among its 2 \(cat, tall pedestrian\)"):
-        load_detector(spec + suffix)
-    first = load_detector(spec + suffix, person_class="Tall Pedestrian")
+        load_detector(spec + options.rstrip("@,"))
+    first = load_detector(f"{spec}{options}person=Tall Pedestrian")
     again = load_detector(first.spec)
     assert again.spec == first.spec and again.person == first.person == 1
     assert torch.equal(again(images()).scores, first(images()).scores)
-    assert load_detector(spec + suffix, person_class="0").person == 0
+    assert load_detector(f"{spec}{options}person=0").person == 0
 
 
 def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,7 +167,7 @@ def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch)
         return lambda images: ran.append(len(images)) or function(images)
 
     monkeypatch.setattr(torch, "compile", compile)
-    plain, compiled = (load_detector(spec, person_class="1", compiled=c) for c in (False, True))
+    plain, compiled = (load_detector(f"{spec}@person=1", compiled=c) for c in (False, True))
     assert torch.equal(compiled(images(3)).scores, plain(images(3)).scores)
     assert ran == [3] and compiled.compiled and not plain.compiled and state_hash(compiled) == state_hash(plain)
 
@@ -178,13 +176,13 @@ def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(torch, "compile", lambda function: fail)
     with pytest.raises(InputError, match="--compile: torch cannot compile here"):
-        load_detector(spec, person_class="1", compiled=True)(images())
+        load_detector(f"{spec}@person=1", compiled=True)(images())
 
 
 def test_precision_is_automatic_only_where_it_gains(spec: str) -> None:
-    assert load_detector(spec, person_class="1", precision="auto").precision == "float32"
-    rough = load_detector(spec, person_class="1", precision="bfloat16")
-    exact = load_detector(spec, person_class="1")
+    assert load_detector(f"{spec}@person=1", precision="auto").precision == "float32"
+    rough = load_detector(f"{spec}@person=1", precision="bfloat16")
+    exact = load_detector(f"{spec}@person=1")
     found = rough(images())
     assert found.scores.dtype == torch.float32 and not torch.equal(found.scores, exact(images()).scores)
     torch.testing.assert_close(found.scores, exact(images()).scores, rtol=0, atol=0.02)
@@ -217,7 +215,7 @@ def test_names_come_from_a_list_beside_the_cfg(tmp_path: Path) -> None:
     spec = write_tiny(tmp_path, names=None)
     with pytest.raises(InputError, match=r"names of its 1 classes are unknown; give @person="):
         load_detector(spec)
-    assert load_detector(spec, person_class="0").name == "tiny"
+    assert load_detector(f"{spec}@person=0").name == "tiny"
     (tmp_path / "a.names").write_text("person\n")
     assert load_detector(spec).name == "tiny"
     (tmp_path / "b.names").write_text("dog\n")
@@ -244,5 +242,3 @@ def test_state_hash_sees_everything(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("suffix", "cells"), [("", 8 * 8), ("@32", 4 * 4), ("@32x128", 4 * 16), ("@64,letterbox", 64)])
 def test_size_in_the_spec(suffix: str, cells: int, tmp_path: Path) -> None:
     assert load_detector(write_tiny(tmp_path) + suffix)(images()).scores.shape == (2, 2 * cells)
-    # What is said beside the spec wins.
-    assert load_detector(write_tiny(tmp_path) + suffix, input_size=(32, 64))(images()).scores.shape == (2, 2 * 32)

@@ -97,7 +97,7 @@ class Case:
         torch.save(self.model.state_dict(), self.path)
 
     def load(self, **more) -> Detector:
-        detector = load_detector(f"torchvision:{self.name}:{self.path}", person_class=str(PERSON), **more)
+        detector = load_detector(f"torchvision:{self.name}:{self.path}@person={PERSON}", **more)
         small(detector.model)
         return detector
 
@@ -151,7 +151,7 @@ def test_tells_the_best_other_class(name: str, tmp_path: Path) -> None:
     first = 0 if name.startswith(("retinanet", "fcos")) else 1  # these two score each class by itself
 
     def load(number: int) -> Detector:
-        detector = load_detector(f"torchvision:{name}:{case.path}", person_class=str(number + first))
+        detector = load_detector(f"torchvision:{name}:{case.path}@person={number + first}")
         assert detector.class_names is None and detector.first_class == first
         small(detector.model)
         return detector
@@ -191,9 +191,8 @@ def test_input_size_and_cut_candidates(tmp_path: Path, monkeypatch: pytest.Monke
         cut = detector(batch)
     assert cut.scores.shape[1] < full.scores.shape[1]
     assert torch.equal(max_person_score(cut), max_person_score(full))
-    sized = load_detector(
-        f"torchvision:retinanet_resnet50_fpn:{tmp_path / 'retinanet_resnet50_fpn.pth'}@64", person_class="1"
-    )
+    path = tmp_path / "retinanet_resnet50_fpn.pth"
+    sized = load_detector(f"torchvision:retinanet_resnet50_fpn:{path}@64,person=1")
     assert sized.model.transform.min_size == (64,) and sized.model.transform.max_size == 107
     fixed = load_detector("torchvision:ssdlite320_mobilenet_v3_large:random@256")
     assert fixed.model.transform.fixed_size == (256, 256)

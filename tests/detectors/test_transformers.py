@@ -69,7 +69,7 @@ def save(name: str, folder: Path):
 @pytest.mark.parametrize("name", NAMES)
 def test_equals_the_library(name: str, tmp_path: Path) -> None:
     model = save(name, tmp_path)
-    detector = load_detector(f"transformers:{tmp_path}", input_size=(64, 96))
+    detector = load_detector(f"transformers:{tmp_path}@64x96")
     assert not detector.training and not [p for p in detector.parameters() if p.requires_grad]
     assert not [*filter(has_statistics, detector.modules())] and (
         name == "Yolos" or [*filter(has_statistics, model.modules())]
@@ -93,7 +93,7 @@ def test_tells_the_best_other_class(name: str, tmp_path: Path) -> None:
     save(name, tmp_path)
 
     def load(number: int):
-        return load_detector(f"transformers:{tmp_path}", input_size=(64, 96), person_class=str(number))
+        return load_detector(f"transformers:{tmp_path}@64x96,person={number}")
 
     assert load(1).class_names == ("cat", "Person", "dog")
     others_are_the_rest(load, 3, 1, images(2, 64, 96, seed=2))
@@ -104,7 +104,7 @@ def test_tells_the_best_other_class(name: str, tmp_path: Path) -> None:
 def test_a_gradient_step_lowers_the_score(name: str, tmp_path: Path) -> None:
     """As the model is, and fully fooled."""
     save(name, tmp_path)
-    detector = load_detector(f"transformers:{tmp_path}", input_size=(64, 96)).double()
+    detector = load_detector(f"transformers:{tmp_path}@64x96").double()
     before_hash = state_hash(detector)
     before, after = lowers_score(detector, images(2, 64, 96).double())
     assert bool((after < before).all()) and state_hash(detector) == before_hash
@@ -131,7 +131,7 @@ def test_preprocessing_equals_the_image_processor(tmp_path: Path) -> None:
 def test_incomplete_weights_and_missing_person(tmp_path: Path) -> None:
     model = save("Yolos", tmp_path)
     with pytest.raises(InputError, match="no class 'horse' among its 3"):
-        load_detector(f"transformers:{tmp_path}", person_class="horse")
+        load_detector(f"transformers:{tmp_path}@person=horse")
     state = model.state_dict()
     removed = next(name for name in state if "class_labels" in name)
     del state[removed]

@@ -103,9 +103,7 @@ def test_says_what_the_package_says(name: str, of: str, tmp_path: Path) -> None:
 def test_tells_the_best_other_class(small: Path) -> None:
     assert load_detector(f"ultralytics:{small}").class_names == ("cat", "person", "dog")
     assert load_detector(f"ultralytics:yolov8n.yaml@{SIDE}").class_names == COCO
-    others_are_the_rest(
-        lambda number: load_detector(f"ultralytics:{small}", person_class=str(number)), 3, 1, images(2, 90, 60)
-    )
+    others_are_the_rest(lambda number: load_detector(f"ultralytics:{small}@person={number}"), 3, 1, images(2, 90, 60))
 
 
 @pytest.mark.slow

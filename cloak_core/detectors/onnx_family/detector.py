@@ -131,11 +131,9 @@ def load_onnx(request: Request) -> OnnxDetector:
 
 
 def file_and_layout(request: Request) -> tuple[Path, str]:
-    """Find which file a spec names, and the layout that it, or the caller, names; "" for none."""
-    name, named = (*request.parts, "")[:2]
-    if named and request.layout:
-        raise InputError(f"detector {request.spec!r}: names its layout already; drop layout=")
-    return Path(name).expanduser(), request.layout or named
+    """Find which file a spec names, and its layout; "" for none."""
+    name, layout = (*request.parts, "")[:2]
+    return Path(name).expanduser(), layout
 
 
 def _white_box(request: Request, file: ModelFile) -> OnnxDetector:
