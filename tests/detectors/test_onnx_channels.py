@@ -58,8 +58,14 @@ def fastestdets_shuffle(x, call):
 
 
 def parts(swap: tuple[int, ...]) -> dict[str, nn.Module]:
-    convolutions = {"before": nn.Conv2d(8, 8, 1), "after": nn.Conv2d(4, 2, 1)}
+    convolutions = {"before": nn.Conv2d(8, 8, 1), "after": nn.Conv2d(4, 2, 1), "all": nn.Conv2d(8, 3, 3)}
+    convolutions["turn"] = OnnxGather(1, [7, 0, 3, 2, 1, 6, 5, 4])
     return convolutions | {"swap": OnnxTranspose(*swap), "first": OnnxGather(0, 0), "second": OnnxGather(0, 1)}
+
+
+def turned(x, call):
+    """All channels in another order, which goes into the convolution."""
+    return (call("all", call("turn", x)),)
 
 
 @pytest.mark.parametrize(
@@ -67,6 +73,7 @@ def parts(swap: tuple[int, ...]) -> dict[str, nn.Module]:
     [
         (nanodets_shuffle, (0, 2, 1, 3, 4), [interleave] * 2),
         (fastestdets_shuffle, (1, 0, 2), [cut] * 2),
+        (turned, (), []),
     ],
 )
 def test_shuffles(shuffle, swap, left) -> None:
@@ -74,7 +81,7 @@ def test_shuffles(shuffle, swap, left) -> None:
     expected = graph(IMAGES)
     order_channels(graph, IMAGES[:1])
     calls = [node for node in graph.graph.nodes if node.op.startswith("call")]
-    assert [node.target for node in calls if node.op == "call_function"] == left
+    assert [node.target for node in calls if node.op == "call_function"] == left and "turn" not in map(str, calls)
     for found, wanted in zip(graph(IMAGES), expected, strict=True):
         torch.testing.assert_close(found, wanted)
 

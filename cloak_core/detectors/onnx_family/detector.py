@@ -152,7 +152,7 @@ def _white_box(request: Request, file: ModelFile) -> OnnxDetector:
         if tensor.dim() == 4:
             tensor.data = tensor.data.contiguous(memory_format=torch.channels_last)
     try:
-        order_channels(graph, as_input(sample_images(file.size)[:1], file))
+        order_channels(graph, as_input(sample_images(file.size)[:1], file), weights=request.fold)
     except Exception as error:  # onnx2torch's modules fail in their own ways
         raise _fails(error) from None
     detector = assemble(request, file, Converted(graph, file, one_by_one=file.batch is not None))

@@ -151,8 +151,11 @@ class ShapeRecorder(fx.Interpreter):
 
 
 @torch.no_grad()
-def order_channels(graph: fx.GraphModule, image: Tensor) -> None:
-    """Replace, in place, chains of nodes that only put channels into another order; `image` is one to run it on."""
+def order_channels(graph: fx.GraphModule, image: Tensor, weights: bool = True) -> None:
+    """Replace, in place, chains of nodes that only put channels into another order; `image` is one to run it on.
+
+    weights: the order may go into the weights of a convolution.
+    """
     modules = dict(graph.named_modules())
     names = {node: _name(node, modules) for node in graph.graph.nodes}
     moving = [node for node, name in names.items() if name in REARRANGING]
@@ -166,7 +169,7 @@ def order_channels(graph: fx.GraphModule, image: Tensor) -> None:
         while names[chain[0]] in REARRANGING:
             chain.insert(0, chain[0].args[0])
         order = _order(chain, modules, graph)
-        if order is not None:
+        if order is not None and not (weights and _into_convolution(chain, order, modules)):
             _replace(chain, order, graph)
     graph.graph.eliminate_dead_code()
     graph.delete_all_unused_submodules()
@@ -206,6 +209,21 @@ def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphM
         return None
     order = values[0, :, 0, 0] // pixels
     return order if torch.equal(numbers[:, order], values) else None
+
+
+def _into_convolution(chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module]) -> bool:
+    """Reorder the weights of the one convolution that reads all channels; tell whether there is one."""
+    source, end = chain[0], chain[-1]
+    channels = source.meta["shape"][1]
+    if len(end.users) != 1 or len(order) != channels or len(order.unique()) != channels:
+        return False
+    (user,) = end.users
+    conv = modules.get(user.target) if user.op == "call_module" else None
+    if type(conv) is not nn.Conv2d or conv.groups != 1:
+        return False
+    conv.weight.copy_(conv.weight[:, order.argsort()])
+    end.replace_all_uses_with(source)
+    return True
 
 
 def _replace(chain: list[fx.Node], order: Tensor, graph: fx.GraphModule) -> None:
