@@ -8,7 +8,11 @@ from pathlib import Path
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torchvision.models.detection import FCOS
+from torchvision.models.detection.rpn import concat_box_prediction_layers
+from torchvision.models.detection.ssd import SSD
 
+from cloak_core.core.detector.protocol import at_least_float32
 from cloak_core.detectors.classes import COCO, UNDERSTOOD, VOC, Description, names_beside
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.detector import BUILTIN_CFG, DarknetDetector
@@ -23,18 +27,25 @@ from cloak_core.detectors.onnx_family.weights import NotTrainable
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.python_module import PythonDetector
 from cloak_core.detectors.specs import parse_spec
+from cloak_core.detectors.torchvision_family import (
+    DenseDetector,
+    TorchvisionDetector,
+    TwoStageDetector,
+    write_torchvision,
+)
 from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
 from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, distances, rows
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import replace_file, write_bytes, write_json, write_text
-from cloak_core.studies.hardening.answers import Answer, Maps, answer_of, in_the_order_of
+from cloak_core.studies.hardening.answers import Answer, Maps, Stages, Surer, answer_of, in_the_order_of
 from cloak_core.studies.hardening.student import NAME, TRAINABLE, Student
-from cloak_core.studies.hardening.torchvision_students import TorchvisionStudent
 
 SOURCE = "harden the weights that it was exported from (a .pt or .pth), export those, and assess both"
 """What to do with a file whose weights cannot be trained."""
+PROPOSALS = 128
+"""Of an image: the best of a two-stage teacher, of which the second stage of both is asked."""
 
 
 def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
@@ -248,6 +259,63 @@ class PythonStudent(Student):
         path = str(Path(file).expanduser().absolute())
         write_text(stem.with_suffix(".py"), LOADER.format(function=function, file=path, weights=f"{NAME}.pth"))
         return f"python:{stem.with_suffix('.py')}:{function}{self.options}"
+
+
+class TorchvisionStudent(Student):
+    """RetinaNet, FCOS, SSD and SSDlite; Faster, Mask and Keypoint R-CNN, whose masks and keypoints do not learn.
+
+    It learns by the terms of the models' own losses at every anchor and proposal. These losses in training mode would
+    want labels, draw anchors and proposals at random and let batch norm move; between two networks none of that is
+    wanted, and the terms are 0 before anything was learned.
+    """
+
+    files = (".pth",)
+
+    def __init__(self, detector: TorchvisionDetector, teacher: TorchvisionDetector, spec: str) -> None:
+        super().__init__(detector, teacher, spec)
+        exclusive = isinstance(detector, TwoStageDetector) or isinstance(detector.model, SSD)
+        # FCOS' score is the root of the product.
+        root = isinstance(detector.model, FCOS)
+        found_at = detector.operating_point**2 if root else detector.operating_point
+        self.reading = self.reading._replace(softmax=exclusive, found_at=found_at)
+
+    @property
+    def network(self) -> nn.Module:
+        return self.detector.model
+
+    def save(self, stem: Path, seen: int) -> str:
+        name = self.request.parts[0]
+        write_torchvision(stem.with_suffix(".pth"), name, self.detector.model)
+        return f"torchvision:{name}:{stem}.pth{self.options}"
+
+    def answer(
+        self,
+        detector: DenseDetector | TwoStageDetector,
+        images: Float[Tensor, "B 3 H W"],
+        proposals: list[Float[Tensor, "_ 4"]] | None = None,
+    ) -> Answer | Stages:
+        """Ask the network; the second of two stages about these proposals, else about the network's own best."""
+        with self.autocast(images):
+            batch, _ = detector.prepare(images)
+            if isinstance(detector, DenseDetector):
+                outputs, _ = detector.raw(batch)
+                trust = outputs["bbox_ctrness"][..., 0] if "bbox_ctrness" in outputs else None
+                return Answer(outputs["cls_logits"], outputs["bbox_regression"].unsqueeze(2), trust)
+            features = detector.features(batch)
+            logits, deltas = detector.of_anchors(features)
+            if proposals is None:
+                proposals = [best[:PROPOSALS] for best in detector.propose(batch, features, logits, deltas)]
+            kinds, boxes = detector.of_proposals(batch, features, proposals)
+        objects, corners = map(at_least_float32, concat_box_prediction_layers(logits, deltas))
+        count = len(images)
+        anchors = Answer(objects.view(count, -1, 1), corners.view(count, -1, 1, 4))
+        return Stages(anchors, proposals, Answer(kinds.unsqueeze(1), boxes.unsqueeze(1)))
+
+    def distance(
+        self, images: Float[Tensor, "B 3 H W"], wanted: Answer | Stages, surer: Surer | None = None
+    ) -> Float[Tensor, " B"]:
+        answer = self.answer(self.detector, images, getattr(wanted, "proposals", None))
+        return answer.distance(wanted, self.reading, surer)
 
 
 STUDENTS: dict[str, type[Student]] = {
