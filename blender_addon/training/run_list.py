@@ -222,7 +222,9 @@ def _watch() -> float:
 
 @persistent
 def _forget_click(*_: object) -> None:
-    """After loading a file: forget the clicked run and the finished jobs."""
+    """After loading a file: forget the clicked run and the finished jobs, and close the eye on the former body."""
+    if session.eye is not None:
+        session.eye.cancel()
     session.clicked_run = ""
     session.given_runs.clear()
     session.jobs = [job for job in session.jobs if job.active]

@@ -50,6 +50,17 @@ def test_assign_remove_select(mode):
     assert not faces.logo_names(obj.data)
 
 
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+def test_hidden_faces_of_a_logo_stay_unselected(mode):
+    obj = make_egg()
+    faces.write_faces(obj, "a", np.arange(len(obj.data.polygons)) < 6)
+    obj.data.polygons.foreach_set("hide", np.arange(len(obj.data.polygons)) < 2)
+    set_mode(mode)
+    bpy.ops.cloak.logo_select()
+    set_mode("OBJECT")
+    assert [polygon.index for polygon in obj.data.polygons if polygon.select] == [2, 3, 4, 5]
+
+
 def test_empty_and_foreign_logos_are_refused_by_name():
     other = make_egg(name="Other")
     faces.new_logo(other, "chest", np.ones(len(other.data.polygons), bool))

@@ -24,6 +24,12 @@ def test_every_operator_and_property_has_a_description():
             assert rna.properties[key].description or rna.properties[key].is_hidden, (cls, key)
 
 
+def test_what_changes_the_file_at_once_can_be_undone():
+    undone = {c.__name__.removeprefix("CLOAK_OT_") for c in cloak.CLASSES if "UNDO" in getattr(c, "bl_options", ())}
+    assert {"logo_assign", "logo_stamp", "stamp_drag", "subdivide", "bake", "result_load", "detector_add"} <= undone
+    assert not {"train_start", "evaluate", "render_check", "logo_export", "export_glb", "explain"} & undone
+
+
 def test_what_blend_files_store_keeps_its_name():
     """Files saved by earlier versions keep their logos, runs, heat maps and settings."""
     object_names, judging_names, detector_names, scene_names = (

@@ -98,6 +98,15 @@ def test_the_ring_is_drawn_for_the_run_that_the_body_wears_and_can_be_hidden(dre
     assert ring.shown(bpy.context) is None
 
 
+def test_an_azimuth_lies_where_its_camera_stood_and_is_blue_where_nobody_is_found():
+    front, left = (evaluations.Sector(azimuth, cloak, None, 1) for azimuth, cloak in ((0.0, 1.0), (90.0, 0.0)))
+    places, paints = ring.ring_triangles([left, front])
+    half = len(places) // 2
+    assert (places[:half, 1] < -0.6).all() and (places[half:, 0] > 0.6).all(), "in front, and to the body's left"
+    assert paints[0, 2] > paints[0, 0] and paints[half, 0] > paints[half, 2]
+    assert np.abs(np.degrees(np.arctan2(places[:half, 0], -places[:half, 1]))).max() < ring.WIDEST / 2
+
+
 # --- what is taken along ---------------------------------------------------------------------------------------------
 
 
