@@ -213,6 +213,8 @@ def test_advice_names_hardening_only_where_it_is() -> None:
     assert "cloak harden" not in words.judge(bad | {"spec": "tflite:net.tflite"})[2]
     assert "cloak harden" not in words.judge(bad | {"spec": "jpeg=75:builtin"})[2]
     assert "without any attack" in words.judge(bad | {"clean": bad["clean"] | {"recall_own": 0.5}})[2]
+    unsure = short_card(white_box=[bad["white_box"][0] | {"success_own": 0.2, "ci95_own": [0.1, 0.6]}])
+    assert words.judge(unsure)[0] == "unknown" and "the intervals of its attacks reach half" in words.judge(unsure)[2]
 
 
 def test_the_card_says_what_renders_are_worth_in_photographs() -> None:

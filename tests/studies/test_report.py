@@ -4,12 +4,15 @@ import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
 
+from cloak_core.core.images import ImageSet
+from cloak_core.core.pattern import Pattern
 from cloak_core.files.errors import InputError
 from cloak_core.products.run_report import make_report
 from cloak_core.studies.report import plots
@@ -17,6 +20,7 @@ from cloak_core.studies.report.pictures import (
     ANGLES,
     BODIES,
     WORST,
+    Drawing,
     gallery_trials,
     worst_trials,
     write_shot,
@@ -167,13 +171,17 @@ def test_the_worst_ten_in_order_each_in_its_surest_image() -> None:
     assert len(worst_trials(made_results(bodies=MANY, score=score).rows("builtin", "logo"), 0.6)) == WORST == 10
 
 
-def test_a_picture_has_the_boxes_above_each_detectors_own_threshold(tmp_path: Path) -> None:
+def test_a_picture_has_its_persons_boxes_above_each_detectors_own_threshold(tmp_path: Path) -> None:
     low, high = RedDetector(), RedDetector()
     image = torch.full((1, 3, 32, 32), 0.5)
     score = write_shot(tmp_path / "a.jpg", image, {"low": low})["scores"]["low"]
     low.operating_point, high.operating_point = score - 0.1, score + 0.1
     boxes = write_shot(tmp_path / "b.jpg", image, {"low": low, "high": high})["boxes"]
     assert boxes["low"] and not boxes["high"]
+    images = Mock(spec=ImageSet, **{"compose.return_value": [image]})
+    images.judged = lambda answer, views, trials: (answer._replace(scores=0 * answer.scores), None)
+    drawing = Drawing(tmp_path, images, {"logo": Mock(spec=Pattern)}, {"low": low})
+    assert not drawing.shots(7, ["logo"])["logo"]["boxes"]["low"], "these are somebody else's"
 
 
 @pytest.mark.long
