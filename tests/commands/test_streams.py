@@ -12,12 +12,13 @@ import pytest
 from cloak_core import __version__, cli
 from cloak_core.cli import in_words
 
+ROOT = Path(__file__).parents[2]
 ASCII = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
 
 
 def cloak(line: str, **options: object) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", "cloak_core", *line.split()]
-    return subprocess.run(command, stderr=subprocess.PIPE, check=False, cwd=Path(__file__).parents[2], **options)
+    return subprocess.run(command, check=False, cwd=ROOT, **({"stderr": subprocess.PIPE} | options))
 
 
 @pytest.mark.slow
@@ -67,7 +68,7 @@ cli.main()
 """
     done = subprocess.run(
         [sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     lines = done.stderr.splitlines()
     assert done.returncode == 2 and len(lines) == 4, done.stderr
@@ -78,8 +79,7 @@ def closed(line: str, *descriptors: int) -> subprocess.CompletedProcess:
     """Run a command with these descriptors closed."""
     close = " ".join(f"{number}>&-" for number in descriptors)
     command = f"{sys.executable} -m cloak_core {line} {close}"
-    root = Path(__file__).parents[2]
-    return subprocess.run(command, shell=True, capture_output=True, text=True, check=False, cwd=root)
+    return subprocess.run(command, shell=True, capture_output=True, text=True, check=False, cwd=ROOT)
 
 
 @pytest.mark.slow
@@ -103,8 +103,7 @@ def test_standard_error_that_is_closed(descriptors: tuple[int, ...], tmp_path: P
 
 def test_standard_error_that_is_full_ends_nothing() -> None:
     with open("/dev/full", "w") as full:
-        command = [sys.executable, "-m", "cloak_core", "scene", "info", "absent"]
-        done = subprocess.run(command, stderr=full, stdout=subprocess.PIPE, cwd=Path(__file__).parents[2])
+        done = cloak("scene info absent", stderr=full, stdout=subprocess.PIPE)
     assert done.returncode == 2 and not done.stdout
 
 
@@ -171,13 +170,13 @@ def test_little_memory_is_one_line(module: str, line: str, left: int, tmp_path: 
             cli.main(f"{line.format(out=tmp_path / 'warm')} {small}".split())
     script = LIMITED.format(module=module, left=left, warm="import torch, cloak_core.library.training")
     command = [sys.executable, "-c", script, *line.format(out=tmp_path / "out").split()]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
     assert "memory" in done.stderr.splitlines()[-1]
 
 
-OLD_RUN = Path(__file__).parents[1] / "old_versions" / "v0.1.0" / "done"
+OLD_RUN = ROOT / "tests" / "old_versions" / "v0.1.0" / "done"
 
 
 @pytest.mark.long
@@ -185,7 +184,7 @@ def test_a_run_folder_whose_name_is_not_utf_8(tmp_path: Path) -> None:
     folder = os.fsencode(tmp_path) + b"/run-\xff"
     shutil.copytree(os.fsencode(OLD_RUN), folder)
     command = [os.fsencode(sys.executable), b"-m", b"cloak_core", b"report", folder, b"--json"]
-    done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parents[2])
+    done = subprocess.run(command, capture_output=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr.decode()
     assert Path(json.loads(done.stdout)["report"]).read_text("utf-8").startswith("<!")
 

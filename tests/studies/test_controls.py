@@ -12,37 +12,25 @@ from cloak_core.core.paint import blank
 from cloak_core.core.pattern import Pattern
 from cloak_core.core.view import BakedView
 from cloak_core.core.visibility.settings import RenderSettings
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.patterns.controls import STRIPE, controls
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.source import BodySource
+from tests.sources.bodies.solids import sheet
 
-
-def wall() -> Bodies:
-    """20 x 20 quads of 2 cm, upright, each split in two triangles; two outfits."""
-    grid = np.arange(21) * 0.02
-    x, y = np.meshgrid(grid, grid, indexing="xy")
-    vertices = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1)[None].astype(np.float32)
-    corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
-    quads = np.stack([corner, corner + 1, corner + 22, corner + 21], 1)
-    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
-    faces = np.tile(np.arange(400, dtype=np.int32), 2)
-    outfits = np.random.default_rng(0).random((2, 400, 3)).astype(np.float32)
-    return Bodies(vertices=vertices, triangles=triangles, triangle_face=faces, face_colors=outfits)
-
-
+WALL = sheet(20, 0.4, face_colors=np.random.default_rng(0).random((2, 400, 3)))
+"""20 x 20 quads of 2 cm, upright; two outfits."""
 TRAINED = np.random.default_rng(1).random((400, 3)).astype(np.float32)
 SHOWN = {"pose": 0, "outfit": 1, "azimuth": 0.0, "elevation": 0.0, "distance": 0.5}
 
 
 def worn(*names: str, seed: int = 0, faces: np.ndarray | None = None) -> list[Pattern]:
     faces = np.arange(400) if faces is None else faces
-    judged = FacePattern(Cover(faces, wall().topology), colors=TRAINED[faces])
-    return list(controls(names, judged, seed, wall()).values())
+    judged = FacePattern(Cover(faces, WALL.topology), colors=TRAINED[faces])
+    return list(controls(names, judged, seed, WALL).values())
 
 
 def view_of(pattern: Pattern, on_cloth: bool = False) -> BakedView:
-    source = BodySource(wall(), RenderSettings(samples=1), Camera(width=64, height=64), on_cloth=on_cloth)
+    source = BodySource(WALL, RenderSettings(samples=1), Camera(width=64, height=64), on_cloth=on_cloth)
     return source.view(SHOWN, None, pattern)
 
 
@@ -53,7 +41,7 @@ def painted(view: BakedView, pattern: Pattern) -> torch.Tensor:
 def test_clothing_is_each_outfits_own_and_grey_is_grey() -> None:
     some = np.array([3, 7])
     clothing, grey = worn("clothing", "grey", faces=some)
-    assert np.array_equal(clothing.colors_in(view_of(clothing), 0), wall().face_colors[1, some])
+    assert np.array_equal(clothing.colors_in(view_of(clothing), 0), WALL.face_colors[1, some])
     assert np.array_equal(grey.colors, np.full((2, 3), 0.5))
 
 
@@ -76,7 +64,7 @@ def test_natural_patterns_are_as_strong_as_the_trained_one(control: str) -> None
 
 
 def test_stripes_run_around_and_checks_alternate() -> None:
-    center = face_centres(wall())
+    center = face_centres(WALL)
     row, column = np.floor(center[:, 1] / STRIPE), np.floor(center[:, 0] / STRIPE)
     stripes, checks = (pattern.colors[:, 0] for pattern in worn("stripes", "checks"))
     assert all(len(np.unique(stripes[row == r])) == 1 for r in np.unique(row))

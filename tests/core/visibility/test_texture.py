@@ -8,10 +8,10 @@ from cloak_core.core.cameras import Camera
 from cloak_core.core.paint import compose
 from cloak_core.core.visibility.settings import Light, RenderSettings
 from cloak_core.core.visibility.texture import look_up
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.sources.bodies.meshes.subdivision import subdivide
 from cloak_core.sources.bodies.meshes.textures import dress_in_textures
 from cloak_core.sources.bodies.view_cache import ViewCache
+from tests.sources.bodies.solids import sheet
 
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 SIDE = 64
@@ -22,25 +22,6 @@ def ramp() -> np.ndarray:
     rise = (np.arange(256) + 0.5) / 256 * 255
     right, up = np.broadcast_to(rise, (256, 256)), np.broadcast_to(rise[::-1, None], (256, 256))
     return np.rint(np.stack([right, up, np.full((256, 256), 100.0)], axis=-1)).astype(np.uint8)
-
-
-def sheet(count: int = 1) -> Bodies:
-    """A square of `count` x `count` quads, one metre wide, facing +z, its texture coordinates its x and y."""
-    axis = np.linspace(0, 1, count + 1)
-    uv = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    vertices = np.concatenate([uv - 0.5, np.zeros((len(uv), 1))], axis=1)
-    corner = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).reshape(-1)
-    quads = corner[:, None] + [0, 1, count + 2, count + 1]
-    triangles = quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    return Bodies(
-        vertices=vertices[None],
-        triangles=triangles,
-        triangle_face=np.repeat(np.arange(len(quads)), 2),
-        loop_total=np.full(len(quads), 4),
-        loop_vertices=quads.reshape(-1),
-        uv=uv,
-        triangle_uv=triangles,
-    )
 
 
 def render(cache: ViewCache, camera: Camera, logo: np.ndarray, outfit: int = 0) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Small meshes that the tests of the scene room share."""
 
+import dataclasses
+
 import numpy as np
 
 from cloak_core.core.polygons import triangulate
@@ -36,6 +38,16 @@ def sphere(columns: int, rows: int) -> Bodies:
     faces += [[at(r, c), at(r + 1, c), at(r + 1, c + 1), at(r, c + 1)] for r in range(rows) for c in range(columns)]
     faces += [[last, at(rows, c + 1), at(rows, c)] for c in range(columns)]
     return polygons(vertices, faces)
+
+
+def sheet(cells: int, side: float = 1.0, **fields: object) -> Bodies:
+    """A square of `cells * cells` quads from the origin, facing +z; its texture coordinates go from 0 to 1."""
+    axis = np.linspace(0, 1, cells + 1)
+    uv = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    corner = np.add.outer(np.arange(cells) * (cells + 1), np.arange(cells)).ravel()
+    quads = np.add.outer(corner, [0, 1, cells + 2, cells + 1])
+    flat = polygons(np.insert(uv * side, 2, 0, axis=1), quads.tolist())
+    return dataclasses.replace(flat, uv=uv.astype(np.float32), triangle_uv=flat.triangles, **fields)
 
 
 def is_closed(triangles: np.ndarray) -> bool:

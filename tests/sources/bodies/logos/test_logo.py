@@ -11,7 +11,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.sources.bodies.logos.palette import nearest_in_palette, read_palette
 from cloak_core.sources.bodies.logos.stamping import project_mask, project_text
 from cloak_core.sources.bodies.people.samples import sample_bodies
-from tests.sources.bodies.solids import cube
+from tests.sources.bodies.solids import cube, sheet
 
 
 @pytest.fixture(scope="module")
@@ -80,23 +80,13 @@ def test_a_stamp_goes_where_it_is_told(samples: Bodies) -> None:
         project_text(samples, "O", height=-1.0)
 
 
-def wall(z: float, cells: int = 10) -> tuple[np.ndarray, np.ndarray]:
-    """A unit square of cells * cells quads, two triangles each, facing +z."""
-    grid = np.linspace(0, 1, cells + 1)
-    vertices = np.array([[x, y, z] for y in grid for x in grid])
-    corner = np.array([row * (cells + 1) + column for row in range(cells) for column in range(cells)])
-    a, b, c, d = corner, corner + 1, corner + cells + 2, corner + cells + 1
-    return vertices, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
-
-
 def test_what_stands_in_front_takes_the_ink(tmp_path: Path) -> None:
     """Two walls, the nearer one half as wide: behind it nothing is stamped."""
-    (far, far_triangles), (near, near_triangles) = wall(0.0), wall(1.0)
-    near = near * [0.5, 1, 1]
+    far = sheet(10)
     body = Bodies(
-        np.concatenate([far, near])[None].astype(np.float32),
-        np.concatenate([far_triangles, near_triangles + len(far)]),
-        np.concatenate([np.arange(200) // 2, 100 + np.arange(200) // 2]),
+        np.concatenate([far.vertices, far.vertices * [0.5, 1, 1] + [0, 0, 1]], axis=1),
+        np.concatenate([far.triangles, far.triangles + far.vertices.shape[1]]),
+        np.concatenate([far.triangle_face, far.triangle_face + 100]),
     )
     Image.new("L", (8, 8), 0).save(tmp_path / "ink.png")
     ids = project_mask(body, tmp_path / "ink.png", height=1.0, center=(0.5, 0.5))
@@ -108,13 +98,11 @@ def test_what_stands_in_front_takes_the_ink(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("dark", "transparent"), [(True, False), (False, True), (True, True)])
 def test_ink_is_what_is_dark_or_what_is_opaque(tmp_path: Path, dark: bool, transparent: bool) -> None:
     """A filled right half: of dark ink on white, or opaque (light) on nothing."""
-    vertices, triangles = wall(0.0)
-    body = Bodies(vertices[None].astype(np.float32), triangles, np.arange(200) // 2)
     pixels = np.full((40, 40, 4), 255, np.uint8)
     pixels[:, :20, 3] = 0 if transparent else 255
     pixels[:, 20:, :3] = 30 if dark else 255
     Image.fromarray(pixels).save(tmp_path / "half.png")
-    ids = project_mask(body, tmp_path / "half.png", height=1.0, center=(0.75, 0.5))  # ink is 20 wide and 40 high
+    ids = project_mask(sheet(10), tmp_path / "half.png", height=1.0, center=(0.75, 0.5))  # ink is 20 wide and 40 high
     assert len(ids) == 50 and (ids % 10 >= 5).all()
 
 
