@@ -10,6 +10,7 @@ from cloak_core.core.logo import load_logo
 from cloak_core.core.sampling import Sampler
 from cloak_core.core.settings import make_settings
 from cloak_core.core.source import Mixture
+from cloak_core.files.errors import InputError
 from cloak_core.patterns.faces import FacePattern
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.bodies.source import BodyPlan
@@ -119,9 +120,11 @@ def test_views_depend_on_person_and_seed_alone(crowd):
     assert torch.equal(one.map.apply(values), same.map.apply(values))
 
 
-def test_a_resumed_run_ends_with_the_same_bits(tmp_path, crowd):
+def test_a_run_is_resumed_with_the_same_people_alone_to_the_same_bits(tmp_path, crowd):
     whole = run(tmp_path / "whole", crowd, people_share=0.7)
     run(tmp_path / "part", crowd, people_share=0.7, max_seconds=1e-9)
+    with pytest.raises(InputError, match="people"):
+        run(tmp_path / "part", crowd.first(1), people_share=0.7, resume=True)
     resumed = run(tmp_path / "part", crowd, people_share=0.7, resume=True)
     assert np.abs(whole.colors - 0.5).max() > 0.01
     assert resumed.step == 4 and np.array_equal(whole.colors, resumed.colors)
