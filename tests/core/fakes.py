@@ -145,15 +145,18 @@ class TinyDetector(Detector):
 
 
 class RedDetector(Detector):
-    """Finds persons where an 8 x 8 cell is redder than blue."""
+    """Finds persons where an 8 x 8 cell is redder than blue, and says where the cells are."""
 
     def __init__(self) -> None:
         super().__init__("red", "red")
 
     def forward(self, images: torch.Tensor) -> Detections:
-        cells = nn.functional.avg_pool2d(images, 8).flatten(2)
-        scores = torch.sigmoid(6 * (cells[:, 0] - cells[:, 2]) + 2 * cells[:, 1])
-        return Detections(scores.new_zeros(*scores.shape, 4), scores, scores, scores > 0)
+        cells = nn.functional.avg_pool2d(images, 8)
+        y, x = torch.meshgrid(*(8.0 * torch.arange(side) for side in cells.shape[2:]), indexing="ij")
+        red, green, blue = cells.flatten(2).unbind(1)
+        scores = torch.sigmoid(6 * (red - blue) + 2 * green)
+        boxes = torch.stack([x, y, x + 8, y + 8], dim=-1).flatten(0, 1).expand(*scores.shape, 4)
+        return Detections(boxes, scores, scores, scores > 0)
 
 
 def middle(images: torch.Tensor) -> torch.Tensor:
@@ -209,18 +212,15 @@ def tiny_settings(**changes: object) -> TrainSettings:
 
 
 class RenamingDetector(RedDetector):
-    """Knows persons, where a cell is redder than blue, and dogs, where it is bluer than red; boxes are the cells."""
+    """Knows persons, where a cell is redder than blue, and dogs, where it is bluer than red."""
 
     class_names = ("person", "dog")
 
     def forward(self, images: torch.Tensor) -> Detections:
-        cells = nn.functional.avg_pool2d(images, 8)
-        redness = 6 * (cells[:, 0] - cells[:, 2]).flatten(1)
-        scores = torch.sigmoid(redness)
-        y, x = torch.meshgrid(*(8.0 * torch.arange(side) for side in cells.shape[2:]), indexing="ij")
-        boxes = torch.stack([x, y, x + 8, y + 8], dim=-1).flatten(0, 1).expand(*scores.shape, 4)
-        other = torch.sigmoid(-redness)
-        return Detections(boxes, scores, other=other, other_class=torch.ones_like(other, dtype=torch.int64))
+        red, _, blue = nn.functional.avg_pool2d(images, 8).flatten(2).unbind(1)
+        scores, other = torch.sigmoid(6 * (red - blue)), torch.sigmoid(6 * (blue - red))
+        dogs = torch.ones_like(other, dtype=torch.int64)
+        return Detections(super().forward(images).boxes, scores, other=other, other_class=dogs)
 
 
 def tiny_batcher(settings: TrainSettings, logo: Logo | None = None) -> Batcher:
