@@ -187,7 +187,18 @@ def card_figures(card: dict) -> dict[str, Figure | None]:
         against = [(row["name"] + " (made against it)" * bool(row["trained_against_it"]), row) for row in zoo]
         figures["zoo"] = BARS.draw(_own_rows("name", against))
     if card["white_box"]:
-        figures |= {"area": by_area(card), "threshold": by_threshold(card)}
+        # Both thresholds, and what the same faces do untrained.
+        beside = {"success_06": f"cloak, at {THRESHOLD:g}"}
+        beside |= {f"{control}_own": SERIES[control]["label"] for control in ("random", CLOTHING)}
+        by_area = _area_rows(card, f"cloak, at the detector's own {card['operating_point']:g}")
+        figures["area"] = Lines(x="area_share", series="name", beside=beside, rate=HIDDEN).draw(by_area)
+        by_threshold = [
+            {"cloak": f"{100 * row['area']:.0f} % of the body, mean {100 * row['masr']:.0f} %"}
+            | {"threshold": float(t), "success": value}
+            for row in card["white_box"]
+            for t, value in row["by_threshold"].items()
+        ]
+        figures["threshold"] = Lines(x="threshold", series="cloak", rate=HIDDEN).draw(by_threshold)
     if card.get("around"):
         by_angle = _own_rows("angle", [(float(angle), row) for angle, row in card["around"]["by_angle"].items()])
         label = {"cloak": "cloak for the full circle"}
@@ -197,38 +208,10 @@ def card_figures(card: dict) -> dict[str, Figure | None]:
 
 def comparison_figures(cards: Sequence[dict]) -> dict[str, Figure | None]:
     """Draw what compares cards, by title: people hidden over the cloak's area, each at its own threshold; recall."""
-    rows = [
-        {"name": name_of(card), "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
-        for card in cards
-        for row in card["white_box"]
-    ]
-    lines = Lines(x="area_share", series="name", rate=HIDDEN, size=WIDE)
+    rows = [row for card in cards for row in _area_rows(card, name_of(card))]
     area = "People hidden against the cloak's area, at each one's own threshold"
-    return ({area: lines.draw(rows)} if rows else {}) | {"Found in own clothing": recall(cards)}
-
-
-def by_area(card: dict) -> Figure | None:
-    """Plot people hidden over the cloak's area, at both thresholds, and what the same faces do untrained."""
-    beside = {"at_0.6": f"cloak, at {THRESHOLD:g}"}
-    beside |= {f"{control}_own": SERIES[control]["label"] for control in ("random", CLOTHING)}
-    rows = [
-        row
-        | {"at": f"cloak, at the detector's own {card['operating_point']:g}"}
-        | {"at_0.6": row["success"], "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
-        for row in card["white_box"]
-    ]
-    return Lines(x="area_share", series="at", beside=beside, rate=HIDDEN).draw(rows)
-
-
-def by_threshold(card: dict) -> Figure | None:
-    """Plot people hidden over the detection threshold, a line for each area."""
-    rows = [
-        {"cloak": f"{100 * row['area']:.0f} % of the body, mean {100 * row['masr']:.0f} %"}
-        | {"threshold": float(t), "success": value}
-        for row in card["white_box"]
-        for t, value in row["by_threshold"].items()
-    ]
-    return Lines(x="threshold", series="cloak", rate=HIDDEN).draw(rows)
+    by_area = Lines(x="area_share", series="name", rate=HIDDEN, size=WIDE).draw(rows)
+    return ({area: by_area} if rows else {}) | {"Found in own clothing": recall(cards)}
 
 
 def recall(cards: Sequence[dict]) -> Figure | None:
@@ -245,6 +228,15 @@ def recall(cards: Sequence[dict]) -> Figure | None:
 def _own_rows(column: str, records: Iterable[tuple[object, dict]], name: str = "success") -> Rows:
     """Make rows of labelled records: the rate at the detector's own threshold, with its interval."""
     return [{column: label, **rated(record, f"{name}_own", "ci95_own")} for label, record in records]
+
+
+def _area_rows(card: dict, name: str) -> Rows:
+    """Make a row for each area of a card's white box: success at the detector's own threshold, and at 0.6."""
+    return [
+        {**row, "name": name, "area_share": row["area"], "success_06": row["success"]}
+        | rated(row, "success_own", "ci95_own")
+        for row in card["white_box"]
+    ]
 
 
 # --- the pictures beside a card
