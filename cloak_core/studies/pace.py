@@ -103,10 +103,9 @@ class Work:
     seeds: int = 1
 
     def __post_init__(self) -> None:
-        self._record: dict = {"asked": self.asked, "seconds": {}, "done": []}
         earlier = read_json(self.file) if self.file.exists() else {}
-        if earlier.get("asked") == self.asked:
-            self._record |= earlier
+        is_same = earlier.get("asked") == self.asked
+        self._record = {"asked": self.asked, "seconds": {}, "done": []} | (earlier if is_same else {})
         self.total = float(sum(map(sum, self.costs.values())))
         self._before, self._steps = 0.0, 1
 
@@ -124,16 +123,15 @@ class Work:
     def part(self, name: str) -> Iterator[None]:
         """Count what is done inside as this part."""
         seconds, finished = self._record["seconds"], self._record["done"]
-        started, done = time.monotonic(), False
+        started, is_new = time.monotonic(), name not in finished
         self._name, self._trainings, self._looked, self._last = name, 0, 0, 0
         self._tell(0.0)
         try:
             yield
-            done = True
+            finished += [name] * is_new
         finally:
-            if name not in finished:
+            if is_new:
                 seconds[name] = seconds.get(name, 0.0) + time.monotonic() - started
-                finished += [name] * done
                 write_json(self.file, self._record)
         self._before += sum(self.costs[name])
         self._tell(0.0)
