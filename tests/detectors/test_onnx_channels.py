@@ -48,7 +48,7 @@ def nanodets_shuffle(x, call):
     x = call("before", x)
     x = call(reshape, x, (-1, 2, 4, 5, 6))
     x = call(reshape, call("swap", x), (-1, 8, 5, 6))
-    return call("after", call(cut, x, ((1, 0, 4, 1),))), call(cut, x, ((1, 4, 8, 1),))
+    return call("after", call(cut, x, (0,), (4,), (1,))), call(cut, x, (4,), (8,), (1,))
 
 
 def fastestdets_shuffle(x, call):

@@ -74,32 +74,25 @@ def _slice(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
     starts, ends, axes, steps = (*known, None, None)[:4]
     if None in known[2:] or min(steps or (1,)) < 1:
         return None
-    if starts is None or ends is None:
-        return cut_between, (x, *bounds[:2], axes, steps)
-    return cut, (x, _slices(starts, ends, axes, steps))
+    starts, ends = (node if value is None else value for node, value in zip(bounds, (starts, ends), strict=False))
+    return cut, (x, starts, ends, axes, steps)
 
 
-def cut_between(
-    x: Tensor, starts: Tensor, ends: Tensor, axes: tuple[int, ...] | None, steps: tuple[int, ...] | None
+def cut(
+    x: Tensor,
+    starts: Sequence[int] | Tensor,
+    ends: Sequence[int] | Tensor,
+    axes: Sequence[int] | None = None,
+    steps: Sequence[int] | None = None,
 ) -> Tensor:
-    """Like `cut`, where the graph itself computes from where to where."""
-    return cut(x, _slices(starts.tolist(), ends.tolist(), axes, steps))
+    """Slice along several axes at once, all from the first unless told; ends beyond the tensor are its end.
 
-
-def _slices(
-    starts: Sequence[int], ends: Sequence[int], axes: Sequence[int] | None, steps: Sequence[int] | None
-) -> tuple[tuple[int, int, int, int], ...]:
-    """(axis, start, end, step) of each; every axis from the first and every element unless told."""
-    axes = range(len(starts)) if axes is None else axes
-    steps = [1] * len(starts) if steps is None else steps
-    return tuple((int(a), int(b), int(e), int(s)) for a, b, e, s in zip(axes, starts, ends, steps, strict=True))
-
-
-def cut(x: Tensor, slices: tuple[tuple[int, int, int, int], ...]) -> Tensor:
-    """Slice by several (axis, start, end, step) at once; ends beyond the tensor are its end."""
+    starts, ends: tensors where the graph itself computes them.
+    """
+    starts, ends = (bounds.tolist() if isinstance(bounds, Tensor) else bounds for bounds in (starts, ends))
     index = [slice(None)] * x.dim()
-    for axis, start, end, step in slices:
-        index[axis] = slice(start, end, step)
+    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        index[k if axes is None else axes[k]] = slice(start, end, None if steps is None else steps[k])
     return x[tuple(index)]
 
 
@@ -233,7 +226,7 @@ def _replace(chain: list[fx.Node], order: Tensor, graph: fx.GraphModule) -> None
     if len(order) < 2:
         return
     if bool((steps == steps[0]).all()) and steps[0] > 0:
-        function, arguments = cut, (((1, int(order[0]), int(order[-1]) + 1, int(steps[0])),),)
+        function, arguments = cut, ((int(order[0]),), (int(order[-1]) + 1,), (1,), (int(steps[0]),))
     else:
         fitting = (
             turns
