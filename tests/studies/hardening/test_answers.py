@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from cloak_core.detectors.decoding import AnchorBoxes
-from cloak_core.studies.hardening.answers import Answer, Maps, Reading, Surer
+from cloak_core.studies.hardening.answers import Answer, Maps, Reading, Surer, answer_of, in_the_order_of
 
 SURER = Surer(torch.tensor([True, False]), 0.9)
 ON_MAPS = Reading(person=1)
@@ -57,6 +57,22 @@ def test_a_reported_person_is_to_be_surer_where_asked_and_nothing_else(reading: 
     goal[0, 0, 1] = math.log(9) + (goal[0, 0, [0, 2]].logsumexp(0) if reading.softmax else 0.0)  # probability 0.9
     met = said._replace(kinds=goal).distance(Answer(kinds.detach(), said.boxes), reading, SURER)
     assert float(met.abs().max()) < 1e-5
+
+
+def test_boxes_in_pixels_are_compared_in_units_of_their_side_and_those_most_alike_with_each_other() -> None:
+    boxes = torch.tensor([[0.0, 0, 20, 40], [50, 50, 80, 80], [5, 5, 25, 45]])[None]
+    wanted = answer_of(torch.tensor([[[0.9], [0.6], [0.2]]]), boxes)
+    reading, turned = Reading(corners=True), [2, 0, 1]
+    far, twice = (
+        answer_of(wanted.kinds.sigmoid(), boxes * scale + 6 * scale).distance(
+            answer_of(wanted.kinds.sigmoid(), boxes * scale), reading
+        )
+        for scale in (1, 2)
+    )
+    torch.testing.assert_close(far, twice)
+    other = Answer(wanted.kinds[:, turned], wanted.boxes[:, turned])
+    assert float(other.distance(wanted, reading)) > 1
+    assert float(other.distance(in_the_order_of(other, wanted), reading)) == 0
 
 
 HEADS = (

@@ -14,6 +14,7 @@ import torch
 from cloak_core.core.detector.protocol import state_hash
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
+from cloak_core.studies.hardening.answers import Answer
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
 from tests.detectors.helpers import images
@@ -254,7 +255,11 @@ def test_a_student_whose_graph_chooses_learns_from_the_boxes_most_like_its_own(t
         onnx.helper.make_node("Gather", ["all", "order"], ["several"], axis=2),
         onnx.helper.make_node("Squeeze", ["several", "two"], ["output"]),
     ]
-    learns(open_student(f"onnx:{made.save(tmp_path / 'm.onnx', batch=1)}"))
+    student = open_student(f"onnx:{made.save(tmp_path / 'm.onnx', batch=1)}")
+    learns(student)
+    answer = student.answer(student.teacher, images(1, 64, 64))
+    turned = Answer(answer.kinds.flip(1), answer.boxes.flip(1))
+    torch.testing.assert_close(student.matched(answer, turned).boxes, answer.boxes)
 
 
 def learns(student: Student) -> None:
