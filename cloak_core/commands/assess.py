@@ -70,8 +70,7 @@ class Assess(Splitting, Detecting, Sharing):
         self.specs = tuple(dict.fromkeys(map(full_spec, self.specs)))
         self._sizes()
         bounds = self._bounds()
-        parts = [(spec, self.part_of(leaderboard=None, junit=None, specs=(spec,))) for spec in self.specs]
-        self.sharing.spread(parts, self.compute)
+        self.sharing.spread(self._parts(), self.compute)
         cards = self.work() if self.specs else gather(self.out)
         for card in cards.values() if bounds and not self.specs else ():
             require_measured(self.gate, bounds, card)
@@ -102,6 +101,9 @@ class Assess(Splitting, Detecting, Sharing):
         if self.junit is not None and self.gate is None:
             raise InputError("--junit: needs --gate FILE")
         return [] if self.gate is None else read_gate(self.gate)
+
+    def _parts(self) -> list[tuple[str, Assess]]:
+        return [(spec, self.part_of(leaderboard=None, junit=None, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
 
     def _sizes(self) -> list[Size]:
         """List the sizes that this call may take, the largest first; one where no time is given."""

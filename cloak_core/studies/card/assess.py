@@ -108,7 +108,7 @@ class Assessment:
         return entries
 
     @cached_property
-    def told(self) -> dict:
+    def card_facts(self) -> dict:
         """What the card says itself (`entry.CARD`), but for who is left out of people, and the seconds."""
         options, facts = self.store.options, detector_facts(self.detector)
         areas = [(round(area_share(self.split.bodies, faces), 4), len(faces)) for faces in self.areas]
@@ -132,7 +132,7 @@ class Assessment:
     @cached_property
     def parts(self) -> list[Part]:
         """What there is to measure, in order."""
-        return parts_of(self.told, self.size)
+        return parts_of(self.card_facts, self.size)
 
     # --- how long it takes
 
@@ -153,7 +153,7 @@ class Assessment:
 
     def work(self, worn: float = 1.0) -> Work:
         """Count what is done; what an earlier call for the same has done counts, too."""
-        asked = {key: value for key, value in self.told.items() if key != "made"}
+        asked = {key: value for key, value in self.card_facts.items() if key != "made"}
         patterns = list(self.patterns[: self.size.patterns])
         key = sha256_record([fixed(self.size), self.store.options.seed, patterns, asked])
         return Work(self.costs(worn), self.folder / "spent.json", key, self.on_work, self.size.seeds)
@@ -178,12 +178,12 @@ class Assessment:
 
     def expected(self) -> dict:
         """Make up the card of this call before anything is measured: see `expected_card`."""
-        return expected_card(self.told, self.size, list(self.opened))
+        return expected_card(self.card_facts, self.size, list(self.opened))
 
     def run(self) -> dict:
         """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        work, figures = self.work(), dict(self.told)
+        work, figures = self.work(), dict(self.card_facts)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         rows: dict[str, list[Results]] = {}
         trained: dict[str, Trained] = {}
@@ -242,7 +242,7 @@ class Assessment:
     def _worn_by_people(self, largest: Trained | None, rows: dict[str, list[Results]]) -> dict[str, Pattern]:
         """List what people wear: the largest cloak, made on renders, the zoo's strongest, patterns, and heads."""
         worn = {} if largest is None else {AGAINST: largest.pattern}
-        zoo = self.told["black_box"]["zoo"]
+        zoo = self.card_facts["black_box"]["zoo"]
         strange = others_strongest([row | attack_record(rows[f"zoo {row['name']}"][0], self.spec) for row in zoo])
         if strange:
             worn[MARK + strange["name"]] = open_pattern(MARK + strange["name"])[0]

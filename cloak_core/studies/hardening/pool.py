@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
-from cloak_core.core.batches import Batcher
+from cloak_core.core.batches import Batch, Batcher
 from cloak_core.core.cameras import Camera
 from cloak_core.core.detector.protocol import Detector
 from cloak_core.core.geometry import face_areas, face_centres, face_normals
@@ -90,6 +90,10 @@ class Turn:
     clean: Float[Tensor, "B 3 H W"]
     attack: StepFigures | None
     """Of the last step of the cloak's attack; None without steps."""
+    cloak: Cloak
+    """As the attack left it."""
+    batch: Batch
+    """Shows it, in any colours."""
 
 
 class Pool:
@@ -135,7 +139,7 @@ class Pool:
             skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
             skin[faces] = torch.from_numpy(colors).to(self.device)
             self.recent = [*self.recent, cloak.flat.texture(colors)][-KEPT:]
-        return Turn(cloaked, clean, figures)
+        return Turn(cloaked, clean, figures, cloak, batch)
 
     def _clean(self, cloak: Cloak, generation: int, turn: int) -> Float[Tensor, "B 3 H W"]:
         """Show a turn's images without the cloak: bodies in an outfit on its faces, photographs as they are."""
