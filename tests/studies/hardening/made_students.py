@@ -13,6 +13,7 @@ from cloak_core.studies.hardening.settings import HardenSettings
 from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
 from tests.core.fakes import box_bodies, noise_backgrounds
+from tests.detectors.helpers import images
 
 FEW = {"steps": 4, "batch": 2, "pictures": 1, "decoys": 1, "attack_steps": 1, "size": 64}
 FEWER = {"steps": 2, "batch": 1, "clean": 1, "pictures": 1, "attack_steps": 1, "size": 64}
@@ -47,6 +48,17 @@ def losses_of(student: Student, shown: torch.Tensor, wanted: object) -> list[flo
                 weights -= length * slope
     student.detector.requires_grad_(False)
     return losses
+
+
+def learns(student: Student) -> None:
+    rows, teacher = torch.tensor([0, 1, 0]), state_hash(student.teacher)
+    batch = images(2, 64, 64)
+    wanted, shown = student.wanted(batch, rows), batch[rows]
+    assert float(student.distance(shown, wanted).abs().max()) < 1e-3
+    disturb(student)
+    losses = losses_of(student, shown, wanted)
+    assert losses[-1] < 0.9 * losses[0]
+    assert state_hash(student.teacher) == teacher
 
 
 def check_that_a_stopped_one_goes_on(

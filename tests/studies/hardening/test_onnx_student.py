@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.core.detector.protocol import state_hash
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from cloak_core.studies.hardening.answers import Answer
@@ -19,11 +18,9 @@ from cloak_core.studies.hardening.student import Student
 from cloak_core.studies.hardening.students import open_student
 from tests.detectors.helpers import images
 from tests.studies.hardening.made_students import (
-    FEWER,
     check_that_a_stopped_one_goes_on,
     disturb,
-    hardened,
-    losses_of,
+    learns,
 )
 
 onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
@@ -32,7 +29,6 @@ pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
 from tests.detectors.test_onnx import HALF, SIDE, Made  # noqa: E402, of the packages above
 
 numpy_helper, INT64 = onnx.numpy_helper, onnx.TensorProto.INT64
-EXAMPLE = Path(__file__).parents[3] / "examples" / "my_detector.py"
 
 
 def arrays(path: Path) -> dict[str, np.ndarray]:
@@ -262,17 +258,6 @@ def test_a_student_whose_graph_chooses_learns_from_the_boxes_most_like_its_own(t
     torch.testing.assert_close(student.matched(answer, turned).boxes, answer.boxes)
 
 
-def learns(student: Student) -> None:
-    rows, teacher = torch.tensor([0, 1, 0]), state_hash(student.teacher)
-    batch = images(2, 64, 64)
-    wanted, shown = student.wanted(batch, rows), batch[rows]
-    assert float(student.distance(shown, wanted).abs().max()) < 1e-3
-    disturb(student)
-    losses = losses_of(student, shown, wanted)
-    assert losses[-1] < 0.9 * losses[0]
-    assert state_hash(student.teacher) == teacher
-
-
 @pytest.mark.parametrize(("build", "changes"), [(copied_bias, {}), (plain, {"perturbation": 0.02})])
 def test_a_stopped_hardening_of_a_file_goes_on_to_the_same_bits(
     build: Callable[[Made], set[str]], changes: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -359,14 +344,3 @@ def test_a_real_file_is_hardened_as_the_file_that_it_is(name: str, shared: Path,
     torch.testing.assert_close(scores, detector.original()(batch).scores, atol=1e-4, rtol=0)
     torch.testing.assert_close(scores, student.detector(batch).scores, atol=1e-4, rtol=0)
     assert set(arrays(again)) == set(arrays(path))
-
-
-def test_a_python_module_learns_and_is_loaded_again(tmp_path: Path) -> None:
-    spec = f"python:{EXAMPLE}:load"
-    learns(open_student(spec))
-    result = hardened(spec, tmp_path / "out", **FEWER)
-    assert result.spec == f"python:{tmp_path}/out/hardened.py:load"
-    batch = images(1)
-    before, after = load_detector(spec)(batch).scores, load_detector(result.spec)(batch).scores
-    assert not torch.equal(before, after)
-    torch.testing.assert_close(before, after, atol=0.3, rtol=0)

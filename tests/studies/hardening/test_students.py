@@ -1,4 +1,4 @@
-"""torchvision's and ultralytics' detectors learn, and are written as what they were."""
+"""torchvision's and ultralytics' detectors and modules of a file learn, and are written as what they were."""
 
 from __future__ import annotations
 
@@ -18,8 +18,16 @@ from cloak_core.studies.hardening.student import NAME
 from cloak_core.studies.hardening.students import open_student
 from tests.detectors.helpers import images
 from tests.detectors.test_torchvision import Case
-from tests.studies.hardening.made_students import check_that_a_stopped_one_goes_on, disturb, losses_of
+from tests.studies.hardening.made_students import (
+    FEWER,
+    check_that_a_stopped_one_goes_on,
+    disturb,
+    hardened,
+    learns,
+    losses_of,
+)
 
+EXAMPLE = Path(__file__).parents[3] / "examples" / "my_detector.py"
 HERE = find_spec("ultralytics") is not None
 ultralytics = pytest.mark.skipif(not HERE, reason="pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
 TORCHVISION = [
@@ -169,3 +177,14 @@ def test_a_python_module_whose_weights_are_out_of_reach_is_refused(tmp_path: Pat
     )
     with pytest.raises(InputError, match="its module has no parameters that torch could train"):
         open_student(f"python:{tmp_path}/box.py:load")
+
+
+def test_a_python_module_learns_and_is_loaded_again(tmp_path: Path) -> None:
+    spec = f"python:{EXAMPLE}:load"
+    learns(open_student(spec))
+    result = hardened(spec, tmp_path / "out", **FEWER)
+    assert result.spec == f"python:{tmp_path}/out/hardened.py:load"
+    batch = images(1)
+    before, after = load_detector(spec)(batch).scores, load_detector(result.spec)(batch).scores
+    assert not torch.equal(before, after)
+    torch.testing.assert_close(before, after, atol=0.3, rtol=0)
