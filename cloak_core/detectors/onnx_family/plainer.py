@@ -74,22 +74,26 @@ def _slice(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
     starts, ends, axes, steps = (*known, None, None)[:4]
     if None in known[2:] or min(steps or (1,)) < 1:
         return None
-    starts, ends = (node if value is None else value for node, value in zip(bounds, (starts, ends), strict=False))
+    if starts is None or ends is None:
+        return cut_between, (x, *bounds[:2], axes, steps)
     return cut, (x, starts, ends, axes, steps)
+
+
+def cut_between(
+    x: Tensor, starts: Tensor, ends: Tensor, axes: Sequence[int] | None, steps: Sequence[int] | None
+) -> Tensor:
+    """Like `cut`, where the graph itself computes from where to where: no part of a chain that moves channels."""
+    return cut(x, starts.tolist(), ends.tolist(), axes, steps)
 
 
 def cut(
     x: Tensor,
-    starts: Sequence[int] | Tensor,
-    ends: Sequence[int] | Tensor,
+    starts: Sequence[int],
+    ends: Sequence[int],
     axes: Sequence[int] | None = None,
     steps: Sequence[int] | None = None,
 ) -> Tensor:
-    """Slice along several axes at once, all from the first unless told; ends beyond the tensor are its end.
-
-    starts, ends: tensors where the graph itself computes them.
-    """
-    starts, ends = (bounds.tolist() if isinstance(bounds, Tensor) else bounds for bounds in (starts, ends))
+    """Slice along several axes at once, all from the first unless told; ends beyond the tensor are its end."""
     index = [slice(None)] * x.dim()
     for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
         index[k if axes is None else axes[k]] = slice(start, end, None if steps is None else steps[k])
