@@ -121,6 +121,7 @@ def find_body(options: argparse.Namespace, program: str, folder: Path) -> bpy.ty
         obj = candidates[0]
     require_body(obj)
     if obj.mode == "EDIT":
+        obj.update_from_editmode()
         objects.active = obj
         bpy.ops.object.mode_set(mode="OBJECT")
     for _ in range(options.subdivide):

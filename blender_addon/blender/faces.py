@@ -5,9 +5,11 @@ So they survive saving, subdivision and editing, and Blender's own attribute pan
 in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polygon.
 """
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
+import bmesh
 import bpy
 import numpy as np
 
@@ -68,6 +70,10 @@ def require_logo(obj: bpy.types.Object, name: str) -> np.ndarray:
     return mask
 
 
+HAS_LAYERS = hasattr(bmesh.types.BMLayerAccessFace, "bool")
+"""Blender before 4.4 gives Python no boolean layers in Edit Mode."""
+
+
 def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask [F] of the logo `name`."""
     with arrays.current_mesh(obj) as mesh:
@@ -76,6 +82,15 @@ def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
 
 def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray, where: np.ndarray | None = None) -> None:
     """Set the logo `name` to `mask`, making it where there is none; where given, in the faces of that mask alone."""
+    if obj.mode == "EDIT" and HAS_LAYERS:  # without reading the mesh, which takes longer than to visit each face
+        where = np.ones(len(mask), bool) if where is None else where
+        bm = bmesh.from_edit_mesh(obj.data)
+        layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
+        for face, flag in zip(itertools.compress(bm.faces, where.tolist()), mask[where].tolist(), strict=True):
+            face[layer] = flag
+        bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+        arrays.edited(obj)
+        return
     with arrays.object_mode(obj):
         mask = mask if where is None else np.where(where, mask, read_faces(obj, name))
         arrays.write_attribute(obj.data, name, "BOOLEAN", mask)
@@ -89,15 +104,34 @@ def read_selection(obj: bpy.types.Object) -> np.ndarray:
 
 def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
     """Select exactly the visible faces of `mask`; returns how many of its faces are hidden and stay unselected."""
-    with arrays.object_mode(obj):
-        mesh, hidden = obj.data, arrays.hidden_faces(obj.data)
+    with arrays.current_mesh(obj) as mesh:
+        hidden = arrays.hidden_faces(mesh)
         visible = mask & ~hidden
-        corners = np.repeat(visible, arrays.corner_counts(mesh))
-        mesh.polygons.foreach_set("select", visible)
-        for items, of_corners in ((mesh.vertices, arrays.corner_vertices), (mesh.edges, arrays.corner_edges)):
-            items.foreach_set("select", np.bincount(of_corners(mesh)[corners], minlength=len(items)) > 0)
-        mesh.update_tag()
+        if obj.mode == "EDIT":
+            _select_edited(obj, visible)
+        else:
+            corners = np.repeat(visible, arrays.corner_counts(mesh))
+            mesh.polygons.foreach_set("select", visible)
+            for items, of_corners in ((mesh.vertices, arrays.corner_vertices), (mesh.edges, arrays.corner_edges)):
+                items.foreach_set("select", np.bincount(of_corners(mesh)[corners], minlength=len(items)) > 0)
+            mesh.update_tag()
     return int((mask & hidden).sum())
+
+
+def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
+    """Select faces in Edit Mode; only elements that change are visited, because Python visits each one."""
+    bm = bmesh.from_edit_mesh(obj.data)
+    kinds = ("vertices", "edges", "polygons")
+    with arrays.current_mesh(obj) as mesh:
+        chosen = [np.flatnonzero(arrays.selected(mesh, kind)) for kind in kinds]
+    for elements, indices in zip((bm.verts, bm.edges, bm.faces), chosen, strict=True):
+        elements.ensure_lookup_table()
+        for index in indices.tolist():
+            elements[index].select = False
+    for index in np.flatnonzero(faces).tolist():
+        bm.faces[index].select_set(True)
+    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+    arrays.edited(obj)
 
 
 def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray, others: Sequence[bpy.types.Object] = ()) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from ..blender import colors
 from ..blender.faces import logo_names
 from ..blender.marks import ORIGINAL_FACE, OUTFIT, PREFIX, free_name, layer_name, mark
-from ..blender.mesh_arrays import box_of, choose, object_mode
+from ..blender.mesh_arrays import box_of, choose
 from ..exchange.bodies import Bodies
 from ..files.errors import InputError
 from ..session import session
@@ -89,22 +89,26 @@ def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> tuple[int, int
     With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
     also logos) carry over; each face keeps the index it came from in our attribute `ORIGINAL_FACE`.
     """
-    mesh = obj.data
-    with object_mode(obj):
-        bm = bmesh.new()
+    mesh, editing = obj.data, obj.mode == "EDIT"
+    bm = bmesh.from_edit_mesh(mesh) if editing else bmesh.new()
+    if not editing:
         bm.from_mesh(mesh)
-        before = len(bm.faces)
-        if not layer_name(mesh, ORIGINAL_FACE):
-            layer = bm.faces.layers.int.new(free_name(obj, PREFIX + ORIGINAL_FACE))
-            mark(mesh, ORIGINAL_FACE, layer.name)
-            for index, face in enumerate(bm.faces):
-                face[layer] = index
-        show_progress(0.05)
-        _split(bm, free_name(obj, PREFIX + "hidden"), keep_quads=not triangulate)
+    before = len(bm.faces)
+    if not layer_name(mesh, ORIGINAL_FACE):
+        layer = bm.faces.layers.int.new(free_name(obj, PREFIX + ORIGINAL_FACE))
+        mark(mesh, ORIGINAL_FACE, layer.name)
+        for index, face in enumerate(bm.faces):
+            face[layer] = index
+    show_progress(0.05)
+    _split(bm, free_name(obj, PREFIX + "hidden"), keep_quads=not triangulate)
+    after = len(bm.faces)
+    if editing:
+        bmesh.update_edit_mesh(mesh, destructive=True)
+    else:
         bm.to_mesh(mesh)
         bm.free()
         mesh.update()
-        return before, len(mesh.polygons)
+    return before, after
 
 
 def _split(bm: bmesh.types.BMesh, hidden_name: str, keep_quads: bool) -> None:

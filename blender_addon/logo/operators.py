@@ -59,36 +59,34 @@ def take(
 @operator("New from Selection", name=props.text("Name", "Name of the new logo", "Logo"))
 def logo_new(context: bpy.types.Context, obj: bpy.types.Object, name: str) -> str:
     """Make a logo of the selected faces"""
-    with object_mode(obj):
-        mask = selected_faces(obj)
-        return f"Logo '{take(obj, mask, name)}': {int(mask.sum()):,} faces"
+    mask = selected_faces(obj)
+    return f"Logo '{take(obj, mask, name)}': {int(mask.sum()):,} faces"
 
 
 @operator("Assign", logo_reason)
 def logo_assign(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Add the selected faces to the active logo"""
-    return _write(obj, True)
+    return _write(obj, selected_faces(obj), True)
 
 
 @operator("Remove", logo_reason)
 def logo_unassign(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Take the selected faces out of the active logo"""
-    return _write(obj, False)
+    return _write(obj, read_selection(obj), False)
 
 
-def _write(obj: bpy.types.Object, belong: bool) -> str:
-    """Let the selected faces belong to the active logo, or not; returns what to say."""
-    with object_mode(obj):
-        chosen, name = selected_faces(obj) if belong else read_selection(obj), faces.active_logo(obj)
-        faces.write_faces(obj, name, np.full(len(chosen), belong), where=chosen)
-        return f"Logo '{name}': {int(faces.read_faces(obj, name).sum()):,} faces"
+def _write(obj: bpy.types.Object, chosen: np.ndarray, belong: bool) -> str:
+    """Let the chosen faces belong to the active logo, or not; returns what to say."""
+    name = faces.active_logo(obj)
+    faces.write_faces(obj, name, np.full(len(chosen), belong), where=chosen)
+    return f"Logo '{name}': {int(faces.read_faces(obj, name).sum()):,} faces"
 
 
 @operator("Select", logo_reason)
 def logo_select(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Select the faces of the active logo"""
     name = faces.active_logo(obj)
-    with object_mode(obj):
+    with current_mesh(obj):
         mask = faces.require_logo(obj, name)
         hidden = faces.select_faces(obj, mask)
     note = f"; {hidden:,} are hidden and stay unselected: reveal them with Alt H" if hidden else ""
