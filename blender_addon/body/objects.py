@@ -84,7 +84,7 @@ def require_upright(obj: bpy.types.Object) -> None:
 
 
 def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> tuple[int, int]:
-    """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4; larger faces become triangles first.
+    """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4, n-gons 1 -> n quads.
 
     With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
     also logos) carry over; each face keeps the index it came from in our attribute `ORIGINAL_FACE`.
@@ -100,7 +100,7 @@ def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> tuple[int, int
         for index, face in enumerate(bm.faces):
             face[layer] = index
     show_progress(0.05)
-    _split(bm, free_name(obj, PREFIX + "hidden"), keep_quads=not triangulate)
+    _split(obj, bm, keep_quads=not triangulate)
     after = len(bm.faces)
     if editing:
         bmesh.update_edit_mesh(mesh, destructive=True)
@@ -111,18 +111,27 @@ def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> tuple[int, int
     return before, after
 
 
-def _split(bm: bmesh.types.BMesh, hidden_name: str, keep_quads: bool) -> None:
+def _split(obj: bpy.types.Object, bm: bmesh.types.BMesh, keep_quads: bool) -> None:
+    hidden_name, corner_name = free_name(obj, PREFIX + "hidden"), free_name(obj, PREFIX + "corner")
     hidden = any(face.hide for face in bm.faces)
     if hidden:  # splitting does not hand the flag down reliably
         layer = bm.faces.layers.int.new(hidden_name)
         for face in bm.faces:
             face[layer] = face.hide
+    has_ngons = any(len(f.verts) > 4 for f in bm.faces)
+    corner = bm.verts.layers.int.new(corner_name)
+    for vert in bm.verts if has_ngons else ():
+        vert[corner] = True
     show_progress(0.1)
-    bmesh.ops.triangulate(bm, faces=[face for face in bm.faces if len(face.verts) > 4])
-    bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)
+    middles = bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)["geom_inner"]
     show_progress(0.5)
+    if has_ngons:
+        for element in middles:
+            if isinstance(element, bmesh.types.BMVert):
+                element[corner] = False  # new vertices take over the flags of the old
+        _split_ngons(bm, corner_name, keep_quads)
     if not keep_quads:
-        bmesh.ops.triangulate(bm, faces=[face for face in bm.faces if len(face.verts) > 3])
+        bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
     show_progress(0.9)
     if hidden:
         layer = bm.faces.layers.int[hidden_name]
@@ -130,6 +139,31 @@ def _split(bm: bmesh.types.BMesh, hidden_name: str, keep_quads: bool) -> None:
             if face.hide != flag:
                 face.hide_set(flag)
         bm.faces.layers.int.remove(layer)
+    bm.verts.layers.int.remove(bm.verts.layers.int[corner_name])
+
+
+def _split_ngons(bm: bmesh.types.BMesh, corner_name: str, keep_quads: bool) -> None:
+    """Faces that edge subdivision left as one polygon with 2n corners get a centre, as Simple subdivision has it."""
+    corner = bm.verts.layers.int[corner_name]
+    for face in [f for f in bm.faces if len(f.verts) > 4]:
+        ring = list(face.verts)
+        (center,) = bmesh.ops.poke(bm, faces=[face], center_mode="MEAN")["verts"]
+        _average(bm, center, [v for v in ring if v[corner]])
+        if keep_quads:
+            spokes = [e for e in center.link_edges if e.other_vert(center)[corner]]
+            bmesh.ops.dissolve_edges(bm, edges=spokes, use_verts=False)
+
+
+def _average(bm: bmesh.types.BMesh, vert: bmesh.types.BMVert, ring: list[bmesh.types.BMVert]) -> None:
+    """Give `vert` the mean position, shape keys and weights of `ring`."""
+    for layer in bm.verts.layers.shape.values():
+        vert[layer] = sum((v[layer] for v in ring[1:]), ring[0][layer].copy()) / len(ring)
+    deform = bm.verts.layers.deform.active
+    if deform is not None:
+        groups = {group for v in ring for group in v[deform].keys()}  # noqa: SIM118
+        vert[deform].clear()
+        for group in groups:
+            vert[deform][group] = sum(v[deform].get(group, 0.0) for v in ring) / len(ring)
 
 
 def blender_axes(vertices: np.ndarray) -> np.ndarray:

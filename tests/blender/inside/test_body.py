@@ -73,13 +73,28 @@ def count_by_corners(obj) -> dict[int, int]:
     return dict(zip(totals.tolist(), counts.tolist(), strict=True))
 
 
-def test_every_face_splits_into_four_and_larger_ones_as_their_triangles():
+def test_quads_and_ngons_split_as_simple_subdivision_does():
     obj = make_egg(8)
     add_ngons(obj)
     corners = count_by_corners(obj)
     assert set(corners) == {3, 4, 6}
+    reference = bpy.data.objects.new("reference", obj.data.copy())
+    bpy.context.collection.objects.link(reference)
+    modifier = reference.modifiers.new("s", "SUBSURF")
+    modifier.subdivision_type, modifier.levels = "SIMPLE", 1
+    smooth = reference.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+    expected = np.array([v.co[:] for v in smooth.vertices])
     body.subdivide(obj, triangulate=False)
-    assert count_by_corners(obj) == {3: 4 * corners[3] + 16 * corners[6], 4: 4 * corners[4]}
+    # Blender's modifier makes three quads of a triangle; four triangles are wanted here, without a middle vertex.
+    assert count_by_corners(obj) == {3: 4 * corners[3], 4: 4 * corners[4] + 6 * corners[6]}
+    assert len(obj.data.vertices) == len(expected) - corners[3]
+    from mathutils.kdtree import KDTree
+
+    tree = KDTree(len(expected))
+    for index, point in enumerate(expected):
+        tree.insert(point, index)
+    tree.balance()
+    assert max(tree.find(v.co)[2] for v in obj.data.vertices) < 1e-6
 
 
 @pytest.mark.parametrize("triangulate", [True, False])
