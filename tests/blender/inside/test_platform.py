@@ -17,7 +17,7 @@ ADD_ON = ROOT / "blender_addon"
 ROOMS = {
     file.relative_to(ADD_ON).as_posix(): file
     for file in ADD_ON.rglob("*.py")
-    if not {"files", "exchange"} & set(file.parts) and file.name != "train.py"
+    if not {"files", "exchange"} & set(file.parts) and file.name not in ("train.py", "cycles_frames.py")
 }
 SHARED = {
     f"{room}/{path.name}": path
