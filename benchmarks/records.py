@@ -1,4 +1,4 @@
-"""Join a run's figures with those that stand in its record."""
+"""Merge the figures of several runs in one JSON file."""
 
 import json
 from collections.abc import Iterable

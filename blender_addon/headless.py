@@ -86,7 +86,7 @@ def require_sense(options: argparse.Namespace, run: Path) -> None:
         if path is None:
             continue
         folder = path.absolute().parent
-        if path == run:
+        if name == "--out":
             with written(f"--out {options.out}"):
                 folder.mkdir(parents=True, exist_ok=True)
         elif path.is_dir():

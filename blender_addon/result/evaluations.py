@@ -108,7 +108,7 @@ def read_evaluation(run: Path) -> Evaluation | None:
 
 
 def read_rates(record: dict, threshold: float, names: Iterable[str] = ()) -> tuple[Rate, ...]:
-    """The rates in an answer of the trainer of what has these names; of all that has rates for none."""
+    """Read the rates of these patterns from a trainer's answer; without names, those of all patterns."""
     rates = []
     for spec, answer in record["detectors"].items():
         own = record.get("operating_points", {}).get(spec)

@@ -140,8 +140,8 @@ or one with too little room, Cloak makes one of its own"""
     done = baking.bake(obj, size)
     material = baking.baked_material(done.image, done.uv_map)
     faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
-    told = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
-    return told if done.off_before is None else f"{told} ({done.off_before:,} on the body's own map)"
+    message = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
+    return message if done.off_before is None else f"{message} ({done.off_before:,} on the body's own map)"
 
 
 @operator("Export GLB", bake_reason, writes=".glb", size=SIZE)

@@ -136,12 +136,12 @@ def _read(file: Path) -> tuple[Sight, ...]:
 
 
 def found_in(sights: Sequence[Sight]) -> tuple[int, int]:
-    """In how many renders a person is reported: of those with the cloak, and of those without, the control."""
+    """Count the renders in which a person is reported: with the cloak, and without it (the control)."""
     return tuple(sum(sight.found for sight in sights if sight.kind == kind) for kind in ("cloak", "clothing"))
 
 
 def holds(sights: Sequence[Sight]) -> bool:
-    """Whether the cloak hides the body from one detector in every render, and it would have been found otherwise."""
+    """Tell whether a detector misses the body in every render with the cloak, and finds it without."""
     detected, control = found_in(sights)
     return control > 0 and not detected
 

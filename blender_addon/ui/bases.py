@@ -107,7 +107,7 @@ def operator(
         parts = {"__doc__": work.__doc__, "__module__": work.__module__, "__annotations__": properties, "run": run}
         bases = (CloakOperator, *([ImportHelper] if reads else []), *([ExportHelper] if writes else []))
         if suffix := reads or writes:
-            parts["filename_ext"] = suffix
+            parts["filename_ext"] = suffix.partition(";")[0]
             properties["filter_glob"] = StringProperty(default=f"*{suffix}", options={"HIDDEN"})
         if undo or changes:
             parts["bl_options"] = WITH_UNDO

@@ -127,7 +127,7 @@ def _code(code: types.CodeType) -> Told:
 
 
 def _global(value: object, attributes: set[str], inside: tuple[object, ...] = ()) -> object:
-    """What a name stands for: of a module of the user's, what the code may ask of it; modules may import each other."""
+    """Find what a name stands for; of a user's module, only what the code uses, as modules may import each other."""
     if not isinstance(value, types.ModuleType) or _is_part_of_package(value):
         return value
     own = [] if value in inside else sorted(attributes & vars(value).keys())

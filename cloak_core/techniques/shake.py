@@ -89,7 +89,7 @@ def _are_maps(one: object, other: object) -> bool:
 
 
 def build(settings: TrainSettings, pattern: object, detectors: Sequence[Detector], device: object) -> Shake:
-    """InputError: a detector is compiled."""
+    """Build the technique. InputError: a detector is compiled."""
     for detector in detectors:
         if detector.compiled:
             raise InputError(f"--detector {detector.spec}: compiled, so --shake does not reach into it")

@@ -85,7 +85,7 @@ def along(obj):
 
 
 def steps():
-    """One thing after the other; a number means: draw, and come back after so many seconds."""
+    """Run the steps in order; each yields the seconds that Blender may draw before the next."""
     install(ZIP, PYTHON)
     tidy()
     yield 0.5

@@ -136,7 +136,7 @@ def step_of_the_panel() -> Iterator[float]:
 
 
 def steps() -> Iterator[float]:
-    """One thing after the other; a number means: draw, and come back after so many seconds."""
+    """Run the steps in order; each yields the seconds that Blender may draw before the next."""
     install(ZIP, PYTHON)
     if LANGUAGE:
         speak(*LANGUAGE)

@@ -194,7 +194,7 @@ def _dropout(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Mo
 
 
 def _head(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    """[region] (YOLOv2): anchors in cells. [yolo] (v3, v4): anchors in pixels, of which a mask chooses some."""
+    """Build the head of [region] (YOLOv2, anchors in cells) or [yolo] (v3, v4; anchors in pixels, chosen by a mask)."""
     section.refuse("tree", "map", "background", "obj_channels", "embedding_layer")
     if section.integer("coords", 4) != 4:
         raise section.error("coords other than 4 are not supported")

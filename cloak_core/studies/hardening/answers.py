@@ -159,7 +159,7 @@ class Maps(NamedTuple):
         return Maps(self.heads, [raw[rows] for raw in self.raw])
 
     def distance(self, wanted: Maps, reading: Reading, surer: Surer | None = None) -> Float[Tensor, " B"]:
-        """Compare with the maps wanted; where the student is to be surer, it is the objectness that is raised."""
+        """Compare with the maps wanted; a student that is to be surer raises its objectness."""
         total = torch.zeros(len(self.raw[0]), device=self.raw[0].device)
         for head, ours, theirs in zip(self.heads, self.raw, wanted.raw, strict=True):
             student, goal = head.split(ours.float()), head.split(theirs.detach().float())
@@ -207,7 +207,7 @@ class Stages(NamedTuple):
     proposals: list[Float[Tensor, "_ 4"]]
     """The teacher's best of each image, best first."""
     judged: Answer
-    """What the second stage says of all of these, one image's after the other's, one in the place of an image."""
+    """The second stage's answers, one for each proposal, image by image."""
 
     def of(self, rows: Int[Tensor, " b"]) -> Stages:
         """Select what is said of these images."""
@@ -217,7 +217,7 @@ class Stages(NamedTuple):
         return Stages(self.anchors.of(rows), [self.proposals[k] for k in chosen], judged)
 
     def distance(self, wanted: Stages, reading: Reading, surer: Surer | None = None) -> Float[Tensor, " B"]:
-        """Compare with the answer wanted, which is of the same proposals; `reading` is the second stage's."""
+        """Compare with the answer wanted for the same proposals; `reading` belongs to the second stage."""
         device = self.anchors.kinds.device
         counts = torch.tensor([len(boxes) for boxes in wanted.proposals], device=device)
         image = torch.repeat_interleave(torch.arange(len(counts), device=device), counts)

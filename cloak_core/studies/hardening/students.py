@@ -45,7 +45,7 @@ from cloak_core.studies.hardening.student import NAME, TRAINABLE, Student
 SOURCE = "harden the weights that it was exported from (a .pt or .pth), export those, and assess both"
 """What to do with a file whose weights cannot be trained."""
 PROPOSALS = 128
-"""Of an image: the best of a two-stage teacher, of which the second stage of both is asked."""
+"""Proposals per image: the second stages of teacher and student both judge the teacher's best ones."""
 
 
 def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
@@ -294,7 +294,7 @@ class TorchvisionStudent(Student):
         images: Float[Tensor, "B 3 H W"],
         proposals: list[Float[Tensor, "_ 4"]] | None = None,
     ) -> Answer | Stages:
-        """Ask the network; the second of two stages about these proposals, else about the network's own best."""
+        """Ask the network. A second stage judges these proposals, or the network's own best where none are given."""
         with self.autocast(images):
             batch, _ = detector.prepare(images)
             if isinstance(detector, DenseDetector):

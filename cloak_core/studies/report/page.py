@@ -103,7 +103,7 @@ def inside(name: str, folder: Path) -> str:
 
 
 def boxed(picture: Mapping, folder: Path, specs: Sequence[str]) -> dict:
-    """Prepare a picture that `pictures.draw_trial` wrote into a folder, with these detectors' boxes, for `framed`."""
+    """Prepare a picture that `pictures.Drawing` wrote into a folder, with these detectors' boxes, for `framed`."""
     boxes = [box(d, b[:4], b[4]) for d, spec in enumerate(specs) for b in picture["boxes"].get(spec, [])]
     return {"image": inside(picture["file"], folder), "boxes": boxes}
 
