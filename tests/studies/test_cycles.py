@@ -72,7 +72,11 @@ def test_shifted(shift: tuple[int, int]) -> None:
 def test_without_blender_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outside, "blender_version", lambda command: "")
     monkeypatch.setattr(outside.shutil, "which", lambda name: None)
+    monkeypatch.delenv("CLOAK_BLENDER", raising=False)
     with pytest.raises(NoBlender, match=r"^Cycles is a part of Blender, and there is no Blender: put one on the path"):
+        cycles.cycles_command()
+    monkeypatch.setenv("CLOAK_BLENDER", "/nowhere/blender")
+    with pytest.raises(NoBlender, match="CLOAK_BLENDER=/nowhere/blender is no program"):
         cycles.cycles_command()
 
 

@@ -36,6 +36,8 @@ def blender_command(work: str) -> list[str]:
     work: what it is for, the beginning of the message. NoBlender: there is none.
     """
     named = os.environ.get("CLOAK_BLENDER")
+    if named and shutil.which(named) is None:
+        raise NoBlender(f"{work}, and CLOAK_BLENDER={named} is no program")
     if named and Path(named).name.startswith("blender"):
         return [named, *IN_BACKGROUND]
     places = [named] if named else []
